@@ -1,0 +1,207 @@
+"""A unicycle on the field: the paper's own simulation, and a fast stand-in for the quadruped.
+
+Within a control step v and omega are constant and the pose moves along the exact arc.  The
+heading is kept as a unit vector, because sin and cos do not vectorise on CPU.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from envs.base import Limits, Observation, Scalar, Scene, Snapshot
+from envs.field import Ball, Disc, Field, bearing, distance, move_disc, nearest_obstacle, roll_ball
+
+
+def _traced(cls):
+    """Frozen dataclass whose fields are traced leaves (None stays None: an absent part)."""
+    cls = dataclasses.dataclass(frozen=True)(cls)
+    names = [f.name for f in dataclasses.fields(cls) if not f.metadata.get("static")]
+    static = [f.name for f in dataclasses.fields(cls) if f.metadata.get("static")]
+    return jax.tree_util.register_dataclass(cls, data_fields=names, meta_fields=static)
+
+
+@_traced
+class Actuation:
+    """How the body follows a command: limited acceleration, then a first-order lag.
+
+    v_rate: m/s^2; omega_rate: rad/s^2; lag: time constant in s, 0 for none.
+    """
+
+    v_rate: Scalar = 0.5
+    omega_rate: Scalar = 6.0
+    lag: Scalar = 0.1
+
+
+@_traced
+class Sensing:
+    """Sensor noise, drawn anew each control step from the scene's seed.
+
+    angle_noise: standard deviation in rad; range_noise: standard deviation as a share of the
+    distance.  Defaults: about what was published for the AIBO's camera.
+    """
+
+    angle_noise: Scalar = 0.035
+    range_noise: Scalar = 0.07
+
+
+class State(NamedTuple):
+    """Everything that changes during an episode, plus the scene's constants."""
+
+    x: Scalar
+    y: Scalar
+    cos: Scalar  # heading as a unit vector
+    sin: Scalar
+    ball: Ball
+    discs: tuple[Disc, ...]
+    velocity: tuple[Scalar, Scalar] | None  # v, omega of the body, with `Actuation` only
+    past: tuple[Observation, ...]  # measurements still on their way, oldest first
+    seed: Any  # with `Sensing` only
+    time: Any  # control steps so far, with `Sensing` only
+
+
+@_traced
+class Kinematic:
+    """Unicycle environment (contract: `envs.base.Environment`).
+
+    dt: control step, s.  limits: speeds, informative only: the command is taken as it comes.
+    actuation, sensing: None switches the part off, as in the paper.  latency: how many control
+    steps an observation is old (static).  ball_deceleration: m/s^2 of a rolling ball.
+    """
+
+    dt: Scalar = 0.1
+    limits: Limits = Limits()
+    actuation: Actuation | None = None
+    sensing: Sensing | None = None
+    ball_deceleration: Scalar = 0.05
+    latency: int = dataclasses.field(default=0, metadata={"static": True})
+    field: Field = dataclasses.field(default=Field(), metadata={"static": True})
+
+    def __post_init__(self):
+        if isinstance(self.latency, int) and self.latency < 0:
+            raise ValueError(f"latency = {self.latency}: allowed are 0, 1, 2, ... control steps")
+
+    def reset(self, scene: Scene) -> State:
+        """The state at the start of a scene.  Raises nothing; shapes are the contract's."""
+        x, y, heading = scene.start[0], scene.start[1], scene.start[2]
+        vb, vo = scene.ball_velocity, scene.obstacle_velocity
+        ball = Ball(scene.ball[0], scene.ball[1], *((None, None) if vb is None else (vb[0], vb[1])))
+        discs = tuple(
+            Disc(o[0], o[1], o[2], *((None, None) if vo is None else (vo[k, 0], vo[k, 1])))
+            for k, o in ((k, scene.obstacles[k]) for k in range(scene.obstacles.shape[0]))
+        )
+        state = State(
+            x=x,
+            y=y,
+            cos=jnp.cos(heading),
+            sin=jnp.sin(heading),
+            ball=ball,
+            discs=discs,
+            velocity=None if self.actuation is None else (jnp.zeros_like(x), jnp.zeros_like(x)),
+            past=(),
+            seed=None if self.sensing is None else jnp.asarray(scene.seed, jnp.uint32),
+            time=None if self.sensing is None else jnp.zeros_like(scene.seed, jnp.uint32),
+        )
+        return state._replace(past=(self.measure(state),) * self.latency)
+
+    def step(self, state: State, command: Any) -> State:
+        """Advance one control step: body velocity, exact arc, ball and obstacles."""
+        v, omega = command.v, command.omega
+        velocity = state.velocity
+        if self.actuation is not None and velocity is not None:
+            velocity = (
+                self._follow(velocity[0], v, self.actuation.v_rate),
+                self._follow(velocity[1], omega, self.actuation.omega_rate),
+            )
+            v, omega = velocity
+        x, y, cos, sin = _arc(state.x, state.y, state.cos, state.sin, v * self.dt, omega * self.dt)
+        new = state._replace(
+            x=x,
+            y=y,
+            cos=cos,
+            sin=sin,
+            velocity=velocity,
+            ball=roll_ball(state.ball, self.dt, self.ball_deceleration, self.field),
+            discs=tuple(move_disc(d, self.dt, self.field) for d in state.discs),
+            time=None if state.time is None else state.time + 1,
+        )
+        if state.past:
+            new = new._replace(past=(*state.past[1:], self.measure(new)))
+        return new
+
+    def _follow(self, now: Scalar, wanted: Scalar, rate: Scalar) -> Scalar:
+        assert self.actuation is not None
+        lag = jnp.maximum(self.actuation.lag, 1e-6)
+        change = (wanted - now) * -jnp.expm1(-self.dt / lag)
+        return now + jnp.clip(change, -rate * self.dt, rate * self.dt)
+
+    def measure(self, state: State) -> Observation:
+        """True distances and angles at this instant."""
+        bx, by = state.ball.x - state.x, state.ball.y - state.y
+        d_obstacle, ox, oy = nearest_obstacle(state.x, state.y, state.discs, self.field)
+        c, s = state.cos, state.sin
+        return Observation(
+            d_ball=distance(bx, by),
+            d_obstacle=d_obstacle,
+            theta_ball=bearing(c * bx + s * by, c * by - s * bx),
+            theta_obstacle=bearing(c * ox + s * oy, c * oy - s * ox),
+        )
+
+    def observe(self, state: State) -> Observation:
+        """What the controller sees: `measure`, delayed by `latency` steps and noisy."""
+        seen = state.past[0] if state.past else self.measure(state)
+        if self.sensing is None:
+            return seen
+        key = jax.random.fold_in(jax.random.key(state.seed), state.time)
+        noise = jax.random.normal(key, (4,), jnp.result_type(seen.d_ball))
+        far, turn = self.sensing.range_noise, self.sensing.angle_noise
+        return Observation(
+            d_ball=seen.d_ball * (1 + far * noise[0]),
+            d_obstacle=seen.d_obstacle * (1 + far * noise[1]),
+            theta_ball=_wrap(seen.theta_ball + turn * noise[2]),
+            theta_obstacle=_wrap(seen.theta_obstacle + turn * noise[3]),
+        )
+
+    def failed(self, state: State) -> Bool[Array, ""]:
+        """A unicycle never falls."""
+        return jnp.zeros_like(state.x, bool)
+
+    def snapshot(self, state: State) -> Snapshot:
+        """Positions in the field's frame, for pictures."""
+        return Snapshot(
+            robot=jnp.stack([state.x, state.y, jnp.arctan2(state.sin, state.cos)]),
+            ball=jnp.stack([state.ball.x, state.ball.y]),
+            obstacles=jnp.stack([jnp.stack([d.x, d.y, d.radius]) for d in state.discs])
+            if state.discs
+            else jnp.zeros((0, 3), state.x.dtype),
+        )
+
+
+def _arc(x, y, cos, sin, length, turn):
+    """Move along a circular arc: length in m, turn in rad (exact for constant v and omega).
+
+    sin(turn)/turn and (1-cos(turn))/turn as series in turn^2, below one float32 rounding for
+    |turn| < 0.6 rad and 2e-5 at 1.5 rad (a control step of 1 s): no division and no branch.
+    """
+    s = turn * turn
+    if jnp.result_type(turn) == jnp.float64:
+        sinc = 1 - s / 6 * (1 - s / 20 * (1 - s / 42 * (1 - s / 72 * (1 - s / 110))))
+        cosc = turn / 2 * (1 - s / 12 * (1 - s / 30 * (1 - s / 56 * (1 - s / 90 * (1 - s / 132)))))
+    else:
+        sinc = 1 - s * (1 / 6 - s * (1 / 120 - s * (1 / 5040)))
+        cosc = turn * (1 / 2 - s * (1 / 24 - s * (1 / 720 - s * (1 / 40320))))
+    dc, ds = 1 - turn * cosc, turn * sinc
+    return (
+        x + length * (sinc * cos - cosc * sin),
+        y + length * (sinc * sin + cosc * cos),
+        dc * cos - ds * sin,
+        dc * sin + ds * cos,
+    )
+
+
+def _wrap(angle: Scalar) -> Scalar:
+    """Angle into [-pi, pi), for one turn too many at most."""
+    turn = 2 * jnp.pi
+    return jnp.where(angle >= jnp.pi, angle - turn, jnp.where(angle < -jnp.pi, angle + turn, angle))
