@@ -1,0 +1,56 @@
+"""A trained controller outside a run: what every export format is written from."""
+
+import dataclasses
+from functools import cached_property
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from fntg_jax import fntg, genome
+from fntg_jax.layout import SHAPES, Layout, Params
+
+
+@dataclasses.dataclass(frozen=True)
+class Controller:
+    """Genes with all that is needed to run them.
+
+    theta: [genes] float64, each in [-5, 5].  control_dt: s, the step it was trained at.
+    bits: the genome it was decoded from, or None.  provenance: flat, JSON values.
+    Calling it maps (d_ball, d_obstacle, theta_ball, theta_obstacle), m and rad, scalars or
+    arrays, to (v, omega), m/s and rad/s, in NumPy.
+    """
+
+    layout: Layout
+    theta: np.ndarray
+    output: fntg.Output = "scale"
+    limits: fntg.Limits = fntg.Limits()
+    control_dt: float = 0.1
+    bits: str | None = None
+    provenance: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    @cached_property
+    def params(self) -> Params:
+        """The full parameter set, NumPy float64: exactly the genes and their negatives."""
+        index, sign = np.asarray(self.layout.index), np.asarray(self.layout.sign)
+        slots = self.theta[index] * sign + 0.0  # + 0.0: no negative zeros
+        parts = np.split(slots, np.cumsum([int(np.prod(s)) for s in SHAPES])[:-1])
+        return Params(*(p.reshape(s) for p, s in zip(parts, SHAPES)))
+
+    def __call__(self, d_ball, d_obstacle, theta_ball, theta_obstacle):
+        inputs = np.broadcast_arrays(d_ball, d_obstacle, theta_ball, theta_obstacle)
+        observation = fntg.Observation(*(jnp.asarray(x, jnp.float32) for x in inputs))
+        params = Params(*(jnp.asarray(x, jnp.float32) for x in self.params))
+        v, omega = fntg.command(params, observation, self.limits, self.output)
+        if inputs[0].ndim == 0:
+            return float(v), float(omega)
+        return np.asarray(v), np.asarray(omega)
+
+
+def from_bits(
+    layout: Layout, bits: np.ndarray, num_bits: int = 15, gray: bool = False, **fields: Any
+) -> Controller:
+    """The controller a genome stands for.  bits: [genes * num_bits] bool."""
+    theta = np.asarray(genome.decode(bits, num_bits, gray), np.float64)
+    text = "".join("1" if b else "0" for b in np.asarray(bits))
+    return Controller(layout=layout, theta=theta, bits=text, **fields)

@@ -1,0 +1,129 @@
+"""Controller x environment under one scan.
+
+An environment is anything with reset, step, observe, measure, failed and snapshot; nothing
+here knows one by name.
+"""
+
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from fntg_jax import fntg
+from fntg_jax.layout import Layout, Params, expand_scalars
+
+SAMPLE_STEPS = (170, 200, 220)  # paper: "data were collected during the 170-th, 200-th and 220-th"
+
+
+class Outcome(NamedTuple):
+    """What one trial is judged by.  Batched trials carry leading axes.
+
+    distance, v, omega: [3], m, m/s, rad/s, after steps 170, 200, 220; clearance: smallest
+    true d_O of the trial, m; v_peak: largest v, m/s; failed: the robot fell.
+    """
+
+    distance: Float[Array, "3"]
+    v: Float[Array, "3"]
+    omega: Float[Array, "3"]
+    clearance: Float[Array, ""]
+    v_peak: Float[Array, ""]
+    failed: Bool[Array, ""]
+
+
+def rollout(
+    params: Params,
+    scene: Any,
+    env: Any,
+    output: fntg.Output = "scale",
+    sample_steps: tuple[int, ...] = SAMPLE_STEPS,
+    unroll: int = 1,
+    checkpoint: bool = False,
+) -> Outcome:
+    """Drive one controller through one scene.
+
+    params: best from `layout.expand_scalars`, which vectorises.  Velocities are those
+    commanded.  checkpoint: recompute each control step in the backward
+    pass, so that reverse mode stores one state a step and nothing else.
+    """
+    state = env.reset(scene)
+
+    def control_step(carry, _):
+        state, clearance, v_peak, _ = carry
+        command = fntg.command(params, env.observe(state), env.limits, output)
+        # The peaks see the state before the step; the last state is added at the end.
+        clearance = jnp.minimum(clearance, env.measure(state).d_obstacle)
+        v_peak = jnp.maximum(v_peak, command.v)
+        return (env.step(state, command), clearance, v_peak, command), None
+
+    if checkpoint:
+        control_step = jax.checkpoint(control_step)
+    first = env.measure(state).d_obstacle
+    nothing = jnp.zeros_like(first)
+    carry = (state, first, jnp.full_like(first, -jnp.inf), fntg.Command(nothing, nothing))
+    samples = []
+    # One loop up to each sampled step, rather than a stored history: nothing but the state
+    # has to leave a step.
+    for start, stop in pairwise((0, *sample_steps)):
+        carry, _ = jax.lax.scan(control_step, carry, None, length=stop - start, unroll=unroll)
+        samples.append((env.measure(carry[0]).d_ball, carry[3].v, carry[3].omega))
+    state, clearance, v_peak, _ = carry
+    distance, v, omega = (jnp.stack(x) for x in zip(*samples))
+    clearance = jnp.minimum(clearance, env.measure(state).d_obstacle)
+    return Outcome(distance, v, omega, clearance, v_peak, env.failed(state))
+
+
+def rollout_pairs(
+    layout: Layout, theta: Float[Array, "P genes"], scenes: Any, env: Any, **options: Any
+) -> Outcome:
+    """Every controller through every scene: theta [P, genes] and T scenes give outcomes [P, T].
+
+    The pairs are laid out as one flat batch, because the inner loops then run over P * T
+    contiguous trials instead of P times over T.  options: those of `rollout`.
+    """
+    num_theta = theta.shape[0]
+    num_scenes = jax.tree.leaves(scenes)[0].shape[0]
+    flat_theta = jnp.repeat(theta, num_scenes, axis=0)
+    flat_scenes = jax.tree.map(lambda x: jnp.concatenate([x] * num_theta), scenes)
+
+    def one(t, scene):
+        return rollout(expand_scalars(layout, t), scene, env, **options)
+
+    outcome = jax.vmap(one)(flat_theta, flat_scenes)
+    return jax.tree.map(lambda x: x.reshape(num_theta, num_scenes, *x.shape[1:]), outcome)
+
+
+class Trajectory(NamedTuple):
+    """One trial step by step, [N + 1] states and the N commands between them.
+
+    snapshot: the environment's positions; observation: what the controller saw; measured:
+    the truth; command: v (m/s), omega (rad/s) applied from each state on.
+    """
+
+    snapshot: Any
+    observation: Any
+    measured: Any
+    command: fntg.Command
+
+
+def trajectory(
+    params: Params,
+    scene: Any,
+    env: Any,
+    output: fntg.Output = "scale",
+    num_steps: int = SAMPLE_STEPS[-1],
+) -> Trajectory:
+    """Record one trial, for pictures and replay."""
+
+    def look(state):
+        return env.snapshot(state), env.observe(state), env.measure(state)
+
+    def control_step(state, _):
+        seen = look(state)
+        command = fntg.command(params, seen[1], env.limits, output)
+        return env.step(state, command), (seen, command)
+
+    state, (seen, commands) = jax.lax.scan(control_step, env.reset(scene), None, length=num_steps)
+    seen = jax.tree.map(lambda xs, x: jnp.concatenate([xs, x[None]]), seen, look(state))
+    return Trajectory(*seen, commands)
