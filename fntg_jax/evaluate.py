@@ -41,9 +41,8 @@ def wilson(successes: int, trials: int, z: float = 1.959964) -> Rate:
     half = z * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
     scale = 1 + z * z / trials
     # Rounding must not push a bound past the share itself at 0 and 1.
-    return Rate(
-        p, max(0.0, min(p, (centre - half) / scale)), min(1.0, max(p, (centre + half) / scale))
-    )
+    low, high = (centre - half) / scale, (centre + half) / scale
+    return Rate(p, max(0.0, min(p, low)), min(1.0, max(p, high)))
 
 
 def evaluate(
