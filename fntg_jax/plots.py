@@ -45,8 +45,8 @@ def _save(figure, path: str | Path) -> Path:
 
     path = Path(path)
     with plt.rc_context(_RC):
-        figure.savefig(path.with_suffix(".pdf"))
-        figure.savefig(path.with_suffix(".png"))
+        figure.savefig(path.with_suffix(".pdf"), bbox_inches="tight")
+        figure.savefig(path.with_suffix(".png"), bbox_inches="tight")
     plt.close(figure)
     return path.with_suffix(".png")
 
@@ -84,13 +84,19 @@ def fitness_curves(history: Any, path: str | Path) -> Path:
         low, median, high = bootstrap_median(values)
         axes.fill_between(x, low, high, color=colour, alpha=0.3, linewidth=0)
         axes.plot(x, median, color=colour, linewidth=1.8, label=f"{label}, median")
-    note = "" if seeds == 1 else f", {seeds} seeds; band: 95 % bootstrap interval of the median"
-    axes.set_title(f"Fitness during learning{note}", fontsize=9, loc="left")
+    if seeds > 1:
+        note = f"{seeds} seeds (thin lines); band: 95 % bootstrap interval of the median"
+        axes.set_title(note, fontsize=9, loc="left")
     axes.set_xlabel("generation")
     axes.set_ylabel("fitness $F$")
     axes.set_xlim(0, generations)
-    axes.set_ylim(bottom=0)
-    axes.legend(loc="upper left")
+    if seeds == 1:
+        axes.set_ylim(bottom=0)
+    else:
+        axes.set_yscale("log")  # single runs differ by factors: on a linear axis one hides all
+        axes.set_ylim(bottom=max(0.01, np.percentile(history.mean, 1)))
+        axes.yaxis.set_major_formatter("{x:g}")
+    axes.legend(loc="lower right")
     return _save(figure, path)
 
 
@@ -170,6 +176,6 @@ def velocities(trial: Any, limits: Any, dt: float, path: str | Path, title: str 
             axes.axhline(bound, color="0.6", linewidth=0.8, linestyle="--")
         axes.step(time, values, color=colour, where="post")
         axes.set_ylabel(label)
-    top.set_title(f"{title}; dashed: limits" if title else "dashed: limits", fontsize=9, loc="left")
+    top.set_title(f"{title}\ndashed: limits".strip(), fontsize=9, loc="left")
     bottom.set_xlabel("time (s)")
     return _save(figure, path)
