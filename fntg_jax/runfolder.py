@@ -59,7 +59,11 @@ def _from_dict(cls: type, data: Any) -> Any:
     unknown = sorted(set(data) - set(fields))
     if unknown:
         raise ValueError(f"{unknown[0]!r}: unknown; known are {', '.join(fields)}")
-    nested = {"ga": ga.GAConfig, "fitness": fitness.PaperWeights}
+    nested = {
+        "ga": ga.GAConfig,
+        "fitness": fitness.PaperWeights,
+        "smooth": fitness.SmoothWeights,
+    }
     values = {}
     for name, value in data.items():
         default = getattr(cls(), name)
