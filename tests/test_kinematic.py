@@ -99,7 +99,7 @@ def test_closed_loop_converges_with_first_order_in_dt():
             thetas[:, [g.name for g in layout.genes].index(gene)] = value
         ends = [np.asarray(end(thetas, num)) for num in (80, 160, 320, 640)]
     steps = [np.linalg.norm(a - b) for a, b in zip(ends, ends[1:])]
-    assert steps[0] > 1e-4
+    assert steps[0] > 1e-5
     np.testing.assert_allclose(np.log2(np.divide(steps[:-1], steps[1:])), 1, atol=0.1)
 
 

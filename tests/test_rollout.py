@@ -19,7 +19,12 @@ LIMITS = fntg.Limits(-0.1, 0.3, 2.0)
 def some(suite, num):
     """A few scenes, of draws that other tests have compiled."""
     drawn = scenes.SUITES[suite](jax.random.key(3), 4 if suite == "paper" else 1000)
-    return jax.tree.map(lambda x: np.asarray(x[:num]), drawn)
+    return jax.tree.map(lambda x: jnp.asarray(x[:num]), drawn)
+
+
+def some_of_all():
+    """Two scenes of every random suite: still and moving in one batch."""
+    return scenes.concatenate([some(name, 2) for name in scenes.SUITES if name != "paper"])
 
 
 def doubled(tree):
@@ -28,11 +33,15 @@ def doubled(tree):
     )
 
 
-@pytest.mark.parametrize("suite", list(scenes.SUITES))
-def test_outcomes_and_fitness_are_those_of_the_reference_simulator(suite):
-    name = {"open": "full-63", "blocked": "three-sigma-31"}.get(suite, "paper-31")
-    layout, output = LAYOUTS[name], "clip" if suite == "open" else "scale"
-    where, thetas = some(suite, 3), random_thetas(layout, NUM_THETAS, seed=8)
+@pytest.mark.parametrize(
+    ("draw", "name", "output"),
+    [(some_of_all, "paper-31", "scale"), (partial(some, "paper", 4), "full-63", "clip")],
+    ids=["random suites", "paper suite"],
+)
+def test_outcomes_and_fitness_are_those_of_the_reference_simulator(draw, name, output):
+    layout = LAYOUTS[name]
+    where = jax.tree.map(np.asarray, draw())
+    thetas = random_thetas(layout, NUM_THETAS, seed=8)
     limits = dict(zip(LIMITS._fields, LIMITS))
     with jax.enable_x64(True):
         run = jax.jit(partial(rollout_pairs, layout, output=output))
@@ -106,6 +115,7 @@ def test_outcome_is_what_the_trajectory_shows(single):
     close(moved, path.command.v * 0.1 * np.sinc(path.command.omega * 0.05 / np.pi))
 
 
+@pytest.mark.slow
 def test_gradient_through_a_trial_is_finite_and_right():
     """Reverse mode with recomputation, against a difference quotient."""
     layout, env = LAYOUTS["paper-31"], kinematic.make()
