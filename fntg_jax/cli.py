@@ -44,6 +44,9 @@ def main(argv: list[str] | None = None) -> None:
         importlib.import_module(f"fntg_jax.commands.{command}").main(rest)
     except ValueError as error:
         refuse(str(error))
+    except KeyboardInterrupt:
+        # Outside of evolution, which stops at the end of a chunk, there is nothing to save.
+        raise SystemExit(130) from None
     except BrokenPipeError:
         # The reader has gone (`fntg ... | head`); nothing is left to say to it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

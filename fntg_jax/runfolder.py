@@ -42,7 +42,7 @@ def load_config(folder: Path) -> TrainConfig:
         data = json.loads(path.read_text())
     except OSError:
         raise ValueError(f"{folder}: not a run folder (no readable config.json)") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: not JSON ({error})") from None
     try:
         config = _from_dict(TrainConfig, data)

@@ -48,7 +48,7 @@ def main(argv: list[str]) -> None:
     options = parse(options_type, argv, "train", options_type(train.PRESETS[preset], preset=preset))
     resume = options.resume
     if resume is not None:
-        if len(argv) > 2 or options.out is not None:
+        if len(argv) > (1 if "=" in argv[0] else 2):
             raise ValueError("--resume takes the run folder and no other option")
         from fntg_jax import runfolder
 

@@ -2,13 +2,14 @@
 this file).  Writing is atomic; floats round-trip exactly; NaN and infinity do not exist."""
 
 import json
+import math
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fntg_jax import fntg
+from fntg_jax import fntg, genome
 from fntg_jax.export.controller import Controller
 from fntg_jax.files import write_atomically
 from fntg_jax.layout import get_layout
@@ -78,8 +79,15 @@ def loads(text: str, source: str = "params.json") -> Controller:
     def no_constant(name):
         refuse(f"{name} is not a number that JSON knows")
 
+    def number(digits):
+        if len(digits) > 400 or not math.isfinite(float(digits)):
+            refuse(f"{_shorten(digits)} is not a number that a float can hold")
+        return float(digits) if set(digits) & set(".eE") else int(digits)
+
     try:
-        document = json.loads(text, parse_constant=no_constant)
+        document = json.loads(
+            text, parse_constant=no_constant, parse_float=number, parse_int=number
+        )
     except json.JSONDecodeError as error:
         refuse(f"not JSON ({error})")
     except RecursionError:
@@ -108,12 +116,27 @@ def loads(text: str, source: str = "params.json") -> Controller:
         bits=document.get("bits"),
         provenance=document.get("provenance", {}),
     )
+    if controller.bits is not None and not _bits_fit(controller):
+        refuse("bits do not decode to theta")
     # The expanded parameters are for other readers; here they show tampering.
     ours = to_dict(controller)["parameters"]
     for name, value in document["parameters"].items():
         if value != ours[name]:
             refuse(f"parameters.{name} does not follow from theta under layout {layout.name}")
     return controller
+
+
+def _bits_fit(controller: Controller) -> bool:
+    """Whether the genome decodes to the genes, plain or Gray."""
+    width, rest = divmod(len(controller.bits or ""), controller.layout.num_genes)
+    if rest or not 1 <= width <= 24:
+        return False
+    bits = np.asarray([b == "1" for b in controller.bits or ""])
+    # One rounding of 5 in float32: decoding may be fused differently on another device.
+    return any(
+        np.allclose(genome.decode(bits, width, gray), controller.theta, rtol=0, atol=1e-6)
+        for gray in (False, True)
+    )
 
 
 def load(path: str | Path) -> Controller:
