@@ -19,6 +19,7 @@ import tyro
 COMMANDS = {
     "train": "learn controllers and write a run folder",
     "evaluate": "success of a controller on suites of unseen scenes",
+    "rules": "the rule base in plain words, with how often each rule fires",
     "export": "write a run's or file's controller in another format",
 }
 

@@ -76,11 +76,16 @@ def loads(text: str, source: str = "controller.fll") -> Controller:
         terms = dict(re.findall(r"^  term: (\w+) \w+ (.*)$", text, re.M))
         limits = dict(re.findall(r"^OutputVariable: (\w+)\n.*\n  range: (.*)$", text, re.M))
         v_min, v_max = (float(x) for x in limits["v"].split())
-        sigmoids = {f: [[float(x) for x in terms[f"{f}{n}"].split()] for n in (1, 2)] for f in "ABC"}
-        parameters: dict[str, Any] = {
-            f: {"a": [a for _, a in pair], "c": [c for c, _ in pair]} for f, pair in sigmoids.items()
+        sigmoids = {
+            f: [[float(x) for x in terms[f"{f}{n}"].split()] for n in (1, 2)] for f in "ABC"
         }
-        parameters["sigma"] = [_read(re.findall(r"max\((.*?) \* ", terms[f"D{n}"])[0]) for n in _123]
+        parameters: dict[str, Any] = {
+            f: {"a": [a for _, a in pair], "c": [c for c, _ in pair]}
+            for f, pair in sigmoids.items()
+        }
+        parameters["sigma"] = [
+            _read(re.findall(r"max\((.*?) \* ", terms[f"D{n}"])[0]) for n in _123
+        ]
         parameters["V"] = _tables(terms, "V")
         parameters["Omega"] = _tables(terms, "W")
         parameters["bias"] = [_constant(terms[f"{symbol}1111"])[1] for symbol in "VW"]
@@ -113,7 +118,9 @@ _123 = (1, 2, 3)
 def _sides(sigma) -> list[str]:
     """Formulas of D_1 "left", D_2 "right", D_3 "not influencing", divided by their sum where
     the sigmas differ (with one sigma the sum is 1)."""
-    bells = [f"exp(0 - x * x / (2 * max({_number(s)} * {_number(s)}, 0.0000000001)))" for s in sigma]
+    bells = [
+        f"exp(0 - x * x / (2 * max({_number(s)} * {_number(s)}, 0.0000000001)))" for s in sigma
+    ]
     left, right = f"gt(x, 0) * {bells[0]}", f"le(x, 0) * {bells[1]}"
     if len(set(sigma)) == 1:
         return [left, right, f"1 - {bells[2]}"]

@@ -14,6 +14,7 @@ them: the golden vectors beside this script.
 
 import runpy
 import sys
+from pathlib import Path
 
 import fuzzylite
 import numpy as np
@@ -27,7 +28,7 @@ def pyfuzzylite_commands(engine, inputs):
 
 
 def main(fll, python, golden=None):
-    engine = fuzzylite.FllImporter().from_string(open(fll).read())
+    engine = fuzzylite.FllImporter().from_string(Path(fll).read_text())
     command = runpy.run_path(python)["command"]
     low, high = (0, -0.1, -np.pi, -np.pi), (3.4, 0.9, np.pi, np.pi)
     inputs = np.random.default_rng(1).uniform(low, high, (20_000, 4)).astype(np.float32)
