@@ -52,13 +52,27 @@ class RuleBase(NamedTuple):
 def rule_strengths(controller: Controller, observation: Any) -> jax.Array:
     """Share of every rule in the firing, [..., rules], for observations with leaves [...]."""
     params = layout.Params(*(jnp.asarray(x, jnp.float32) for x in controller.params))
-    one = partial(fntg.firing_strengths, params)
+    return _strengths(params, observation, tuple(_rules(controller)))
+
+
+def _strengths(params, observation, indices):
+    shape = jnp.shape(observation[0])
     flat = jax.tree.map(lambda x: jnp.ravel(jnp.asarray(x)), observation)
-    mu = jax.vmap(one)(flat)
-    columns = [
-        jnp.sum(mu[(slice(None), *r)].reshape(len(mu), -1), axis=1) for r in _rules(controller)
-    ]
-    return jnp.stack(columns, axis=-1).reshape(*jnp.shape(observation[0]), -1)
+    mu = jax.vmap(partial(fntg.firing_strengths, params))(flat)
+    # A rule without an obstacle's side has all three of them.
+    columns = [jnp.sum(mu[(slice(None), *r)].reshape(len(mu), -1), axis=1) for r in indices]
+    return jnp.stack(columns, axis=-1).reshape(*shape, -1)
+
+
+@partial(jax.jit, static_argnames=("output", "indices"))
+def _watch(params, scenes, env, output, indices):
+    """Mean share, share of steps as the strongest, and peak of every rule."""
+    seen = jax.vmap(lambda s: trajectory(params, s, env, output).observation)(scenes)
+    # The last state is never acted on.
+    mu = _strengths(params, jax.tree.map(lambda x: x[:, :-1], seen), indices)
+    mu = mu.reshape(-1, len(indices))
+    strongest = jax.nn.one_hot(jnp.argmax(mu, axis=1), len(indices))
+    return jnp.mean(mu, axis=0), jnp.mean(strongest, axis=0), jnp.max(mu, axis=0)
 
 
 def _rules(controller: Controller) -> list[tuple[int, ...]]:
@@ -85,16 +99,8 @@ def rule_base(
     env = environment_for(controller, world)
     params = layout.expand(controller.layout, jnp.asarray(controller.theta, jnp.float32))
 
-    @jax.jit
-    def watch(scenes):
-        seen = jax.vmap(lambda s: trajectory(params, s, env, controller.output).observation)(scenes)
-        # The last state is never acted on.
-        seen = jax.tree.map(lambda x: x[:, :-1], seen)
-        mu = rule_strengths(controller, seen).reshape(-1, len(_rules(controller)))
-        strongest = jnp.zeros_like(mu).at[jnp.arange(len(mu)), jnp.argmax(mu, axis=1)].set(1)
-        return jnp.mean(mu, axis=0), jnp.mean(strongest, axis=0), jnp.max(mu, axis=0)
-
-    mean, strongest, peak = (np.asarray(x, float) for x in watch(scenes))
+    watched = _watch(params, scenes, env, controller.output, tuple(_rules(controller)))
+    mean, strongest, peak = (np.asarray(x, float) for x in watched)
     labels, notes = describe_labels(controller, world.field)
     rules = [
         Rule(

@@ -72,14 +72,14 @@ def test_labels_follow_the_shares(seed):
 
 @pytest.mark.parametrize(("name", "num"), [("paper-31", 16), ("full-63", 24)])
 def test_strengths_and_outputs_add_up_to_the_command(name, num):
-    controller = random_controller(name, output="clip", limits=fntg.Limits(-10.0, 10.0, 10.0))
+    controller = random_controller(name, 1, output="clip", limits=fntg.Limits(-10.0, 10.0, 10.0))
     rng = np.random.default_rng(0)
     seen = fntg.Observation(*rng.uniform(-1, 1, (4, 50)).astype(np.float32))
     strengths = np.asarray(rules.rule_strengths(controller, seen))
     assert strengths.shape == (50, num) == (50, len(layout.rules(controller.layout)))
     commands = np.stack(controller(*seen), axis=-1)
     expected = strengths @ rules.rule_outputs(controller)
-    assert np.ptp(commands, axis=0).min() > 0.1
+    assert np.ptp(commands, axis=0).min() > 0.01
     np.testing.assert_allclose(expected, commands, rtol=1e-4, atol=1e-4)
 
 
@@ -88,7 +88,7 @@ def test_dead_and_dominant_rules():
     off = {f"a_{f}2": 5.0 for f in "ABC"} | {f"c_{f}2": 5.0 for f in "ABC"}
     on = {f"a_{f}1": 0.0 for f in "ABC"}
     controller = built_controller(**off, **on, sigma=1e-3)
-    base = rules.rule_base(controller, WORLD, num_scenes=3)
+    base = rules.rule_base(controller, WORLD, num_scenes=2)
     flags = {rule.index: rule.flag for rule in base.rules}
     assert flags.pop("1113") == "dominant"
     assert flags["221"] == flags["2111"] == "dead"
@@ -97,14 +97,14 @@ def test_dead_and_dominant_rules():
 
 
 def test_more_scenes_leave_the_first_as_they_are():
-    few, many = (evaluate.held_out_scenes(WORLD, "blocked", n) for n in (3, 8))
-    same = jax.tree.map(lambda a, b: bool((a == b[:3]).all()), few, many)
+    few, many = (evaluate.held_out_scenes(WORLD, "blocked", n) for n in (2, 5))
+    same = jax.tree.map(lambda a, b: bool((a == b[:2]).all()), few, many)
     assert all(jax.tree.leaves(same))
 
 
 def test_sentence():
     controller = built_controller(**NEAR_FAR, V_1111=2, b_21=1, Omega_1111=1, b_22=1)
-    base = rules.rule_base(controller, WORLD, num_scenes=1)
+    base = rules.rule_base(controller, WORLD, num_scenes=2)
     text = rules.sentence(base.rules[0], base.limits)
     assert text.startswith("IF the ball is NEAR and at ANY DIRECTION (C1)")
     assert text.endswith("on the LEFT THEN v = 0.12 m/s, turn left 0.60 rad/s")
