@@ -20,6 +20,8 @@ COMMANDS = {
     "train": "learn controllers and write a run folder",
     "evaluate": "success of a controller on suites of unseen scenes",
     "rules": "the rule base in plain words, with how often each rule fires",
+    "replay": "watch trials: one HTML page, or an animated GIF or WebP",
+    "plot": "membership functions and control surfaces, PNG and PDF",
     "export": "write a run's or file's controller in another format",
 }
 

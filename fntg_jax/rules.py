@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import math
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -29,9 +30,9 @@ class Rule(NamedTuple):
     labels: tuple[Label, ...]
     v: float
     omega: float
-    mean: float
-    strongest: float
-    peak: float
+    mean: float = math.nan
+    strongest: float = math.nan
+    peak: float = math.nan
 
     @property
     def flag(self) -> str:
@@ -88,6 +89,19 @@ def rule_outputs(controller: Controller) -> np.ndarray:
     return (tables + p.bias) * np.asarray(gains, float)
 
 
+def rules_of(controller: Controller, labels: dict[str, tuple[Label, ...]]) -> list[Rule]:
+    """The rules with their labels and commands; their firing is not known yet (NaN)."""
+    return [
+        Rule(
+            "".join(str(n + 1) for n in index),
+            tuple(labels[family][n] for family, n in zip("ABCD", index)),
+            float(v),
+            float(omega),
+        )
+        for index, (v, omega) in zip(_rules(controller), rule_outputs(controller))
+    ]
+
+
 def rule_base(
     controller: Controller, world: Any, suite: str = "blocked", num_scenes: int = 200, seed: int = 0
 ) -> RuleBase:
@@ -102,16 +116,10 @@ def rule_base(
     watched = _watch(params, scenes, env, controller.output, tuple(_rules(controller)))
     mean, strongest, peak = (np.asarray(x, float) for x in watched)
     labels, notes = describe_labels(controller, world.field)
+    plain = rules_of(controller, labels)
     rules = [
-        Rule(
-            "".join(str(n + 1) for n in index),
-            tuple(labels[family][n] for family, n in zip("ABCD", index)),
-            *(float(x) for x in rule_outputs(controller)[row]),
-            float(mean[row]),
-            float(strongest[row]),
-            float(peak[row]),
-        )
-        for row, index in enumerate(_rules(controller))
+        rule._replace(mean=float(m), strongest=float(s), peak=float(p))
+        for rule, m, s, p in zip(plain, mean, strongest, peak)
     ]
     return RuleBase(labels, notes, rules, suite, num_scenes, controller.limits)
 

@@ -7,8 +7,10 @@ environment.json, checkpoint.npz, fig5.png and .pdf.  Every file is written atom
 import dataclasses
 import io
 import json
+import math
 import platform
 import subprocess
+import zipfile
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -148,6 +150,35 @@ def controller(run: Run, seed: int | None = None) -> export.Controller:
             "fntg_jax": fntg_jax.__version__,
             "jax": jax.__version__,
         },
+    )
+
+
+def controller_of_generation(folder: Path, generation: int) -> export.Controller:
+    """The best controller of one generation (from 1), of the seed that params.json comes from.
+    Raises ValueError (one line) where the folder does not hold it."""
+    controller = export.load(folder / "params.json")
+    config = load_config(folder)
+    path = folder / "history.npz"
+    seed = controller.provenance.get("seed", config.first_seed)
+    index = seed - config.first_seed if isinstance(seed, int) else -1
+    shape = (config.seeds, config.generations, controller.layout.num_genes)
+    if not 1 <= generation <= config.generations:
+        raise ValueError(f"generation = {generation}: the run has 1 to {config.generations}")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = archive.getinfo("best_theta.npy").file_size
+        if size > 4 * math.prod(shape) + 1000 or not 0 <= index < config.seeds:
+            raise ValueError("another shape than config.json says")
+        with np.load(path, allow_pickle=False) as file:
+            theta = file["best_theta"].astype(np.float64)
+        if theta.shape != shape or not np.all(np.abs(theta[index, generation - 1]) <= 5):
+            raise ValueError("another shape or range than config.json says")
+    except Exception as error:  # a damaged archive raises almost anything
+        why = getattr(error, "strerror", None) or error
+        raise ValueError(f"{path}: not the history of this run ({why})") from None
+    provenance = {**controller.provenance, "generations": generation, "fitness": None}
+    return dataclasses.replace(
+        controller, theta=theta[index, generation - 1], bits=None, provenance=provenance
     )
 
 
