@@ -64,7 +64,7 @@ def main(argv: list[str]) -> None:
     # A scene's controllers stand side by side.
     panels = [panel for scene in zip(*recorded) for panel in scene]
     if suffix == ".html":
-        data = replay.page(panels, f"Replay: {', '.join(t for t, _ in titled)}").encode()
+        data = replay.page(panels, f"Replay: {' | '.join(t for t, _ in titled)}").encode()
     else:
         data = replay.animation(panels, suffix[1:].upper())
     try:
