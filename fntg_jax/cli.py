@@ -22,7 +22,9 @@ COMMANDS = {
     "rules": "the rule base in plain words, with how often each rule fires",
     "replay": "watch trials: one HTML page, or an animated GIF or WebP",
     "plot": "membership functions and control surfaces, PNG and PDF",
+    "report": "a run as one self-contained HTML page",
     "export": "write a run's or file's controller in another format",
+    "doctor": "versions, devices, cache and rendering, against what was tested",
 }
 
 

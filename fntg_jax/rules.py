@@ -155,13 +155,13 @@ def as_text(base: RuleBase) -> str:
     out += [f"note: {note}" for note in base.notes]
     out += [
         "",
-        f"share of the firing over {base.num_scenes} scenes of suite {base.suite}; {_LEGEND}",
+        f"share of the firing over {base.num_scenes} scenes of suite {base.suite}; {LEGEND}",
     ]
     out += [
         f"{100 * r.mean:5.1f} %  {r.flag:9s} {r.index:5s} {sentence(r, base.limits)}"
         for r in base.rules
     ]
-    return "\n".join([*out, "", _clipping(base)]) + "\n"
+    return "\n".join([*out, "", clipping(base)]) + "\n"
 
 
 def as_markdown(base: RuleBase) -> str:
@@ -179,7 +179,7 @@ def as_markdown(base: RuleBase) -> str:
         "",
         f"Firing: mean share over {base.num_scenes} scenes of suite {base.suite}; strongest:",
     ]
-    out += [f"share of steps at which the rule is the strongest; {_LEGEND}. {_clipping(base)}"]
+    out += [f"share of steps at which the rule is the strongest; {LEGEND}. {clipping(base)}"]
     return "\n".join(out) + "\n"
 
 
@@ -217,10 +217,11 @@ def as_csv(base: RuleBase) -> str:
 
 
 FORMATS = {"text": as_text, "md": as_markdown, "json": as_json, "csv": as_csv}
-_LEGEND = f"dead: never over {100 * DEAD:.0f} %, dominant: over {100 * DOMINANT:.0f} % on average"
+LEGEND = f"dead: never over {100 * DEAD:.0f} %, dominant: over {100 * DOMINANT:.0f} % on average"
 
 
-def _clipping(base: RuleBase) -> str:
+def clipping(base: RuleBase) -> str:
+    """How the rules' values become a command, in words."""
     limits = base.limits
     return (
         "A command is the firing-weighted average of these values (biases included), then clipped "

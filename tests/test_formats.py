@@ -14,7 +14,10 @@ from fntg_jax.layout import LAYOUTS, rules
 from tests.controllers import random_controller
 
 FLL = Path(__file__).parent / "fll"
-HOSTILE = {"note": '*/ int x; /* """ \n import os # </script><b> ??/\n \\', "\u2028": "\ud800"}
+HOSTILE = {
+    "note": '*/ int x; /* """ \n import os # </script><b> ??/\n \\',
+    "\u2028": "\ud800 @A@ @tables@",
+}
 needs_compiler = pytest.mark.skipif(c_format.compiler() is None, reason="no C compiler")
 
 
