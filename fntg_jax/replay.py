@@ -136,7 +136,7 @@ def _bars(controller: Controller, names: dict, seen: Any, strengths: np.ndarray)
     found = rules.rules_of(controller, names)
     rows = [
         row(
-            f"{r.index} {' · '.join(_short(k.name) for k in r.labels)}",
+            f"{r.name} {' · '.join(_short(k.name) for k in r.labels)}",
             rules.sentence(r, controller.limits),
             strengths[:, n],
         )

@@ -152,7 +152,7 @@ def _rules(run: Run, controller: export.Controller, suite: str) -> str:
         for x in labels
     )
     rows = "".join(
-        f"<tr><th>{_text(r.index)}<td>{_text(rules.sentence(r, base.limits))}"
+        f"<tr><th>{_text(r.name)}<td>{_text(rules.sentence(r, base.limits))}"
         f"<td>{100 * r.mean:.1f} %<td>{_text(r.flag)}"
         for r in base.rules
     )

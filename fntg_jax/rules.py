@@ -22,11 +22,11 @@ DOMINANT = 0.25  # a rule that has more than this share of the firing on average
 
 
 class Rule(NamedTuple):
-    """A rule: index ("1121"), its labels, what it alone would command before clipping (m/s,
+    """A rule: name ("1121", the paper's indices), its labels, what it alone would command before clipping (m/s,
     rad/s), and over the control steps of a suite its mean share of the firing, the share of
     steps at which it is the strongest, and its peak."""
 
-    index: str
+    name: str
     labels: tuple[Label, ...]
     v: float
     omega: float
@@ -158,7 +158,7 @@ def as_text(base: RuleBase) -> str:
         f"share of the firing over {base.num_scenes} scenes of suite {base.suite}; {LEGEND}",
     ]
     out += [
-        f"{100 * r.mean:5.1f} %  {r.flag:9s} {r.index:5s} {sentence(r, base.limits)}"
+        f"{100 * r.mean:5.1f} %  {r.flag:9s} {r.name:5s} {sentence(r, base.limits)}"
         for r in base.rules
     ]
     return "\n".join([*out, "", clipping(base)]) + "\n"
@@ -171,7 +171,7 @@ def as_markdown(base: RuleBase) -> str:
     out += ["", *(f"Note: {note}.\n" for note in base.notes)]
     out += ["| rule | in words | firing | strongest | |", "|---|---|---:|---:|---|"]
     out += [
-        f"| {r.index} | {sentence(r, base.limits)} | {100 * r.mean:.1f} % | "
+        f"| {r.name} | {sentence(r, base.limits)} | {100 * r.mean:.1f} % | "
         f"{100 * r.strongest:.1f} % | {r.flag} |"
         for r in base.rules
     ]
@@ -212,7 +212,7 @@ def as_csv(base: RuleBase) -> str:
     for r in base.rules:
         labels = [x.name for x in r.labels] + [""] * (4 - len(r.labels))
         numbers = (f"{x:.6g}" for x in (r.v, r.omega, r.mean, r.strongest, r.peak))
-        writer.writerow([r.index, *labels, *numbers, r.flag])
+        writer.writerow([r.name, *labels, *numbers, r.flag])
     return out.getvalue()
 
 

@@ -89,7 +89,7 @@ def test_dead_and_dominant_rules():
     on = {f"a_{f}1": 0.0 for f in "ABC"}
     controller = built_controller(**off, **on, sigma=1e-3)
     base = rules.rule_base(controller, WORLD, num_scenes=2)
-    flags = {rule.index: rule.flag for rule in base.rules}
+    flags = {rule.name: rule.flag for rule in base.rules}
     assert flags.pop("1113") == "dominant"
     assert flags["221"] == flags["2111"] == "dead"
     assert sum(rule.mean for rule in base.rules) == pytest.approx(1, abs=1e-5)
@@ -117,7 +117,7 @@ def test_command_and_formats(tmp_path, capsys):
     texts = {name: write(base) for name, write in rules.FORMATS.items()}
     document = json.loads(texts["json"])
     rows = list(csv.DictReader(io.StringIO(texts["csv"])))
-    assert [r["rule"] for r in rows] == [r["index"] for r in document["rules"]]
+    assert [r["rule"] for r in rows] == [r["name"] for r in document["rules"]]
     assert len(rows) == texts["text"].count("IF the ball is") == texts["md"].count("IF the") == 16
     cli.main(["rules", str(tmp_path / "params.json"), "--scenes", "2", "--format", "csv"])
     said = capsys.readouterr()

@@ -69,7 +69,7 @@ def _c(controller: Any) -> str:
         say("not checked: no C compiler found (set CC)")
         return text
     for double in (False, True):
-        seconds = []
+        seconds: list[float] = []
 
         def commands(inputs, double=double, seconds=seconds):
             done = c_format.run(text, inputs, double)

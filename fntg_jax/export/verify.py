@@ -89,4 +89,4 @@ def max_error(controller: Controller, commands: Callable[[np.ndarray], np.ndarra
 def within(controller: Controller, error: MaxError, share: float) -> bool:
     """Whether the error is below that share of the speed limits."""
     limits = controller.limits
-    return error.v <= share * limits.v_max and error.omega <= share * limits.omega_max
+    return bool(error.v <= share * limits.v_max and error.omega <= share * limits.omega_max)
