@@ -83,14 +83,15 @@ def parse(cls: type, argv: list[str], command: str, default: Any = None) -> Any:
 
 
 def load_controller(path: Path, seed: int | None = None) -> Any:
-    """A controller from a parameter file or a run folder."""
-    from fntg_jax import export
+    """A controller from a parameter file or a run folder, of which `seed` picks another than the
+    best."""
+    import fntg_jax
 
-    if seed is not None:
-        from fntg_jax import runfolder
+    if seed is None:
+        return fntg_jax.load(path)
+    from fntg_jax import runfolder
 
-        return runfolder.controller(runfolder.restore(path), seed)
-    return export.load(path / "params.json" if path.is_dir() else path)
+    return runfolder.controller(runfolder.restore(path), seed)
 
 
 if __name__ == "__main__":

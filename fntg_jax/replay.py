@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fntg_jax import fitness, labels, layout, rules
-from fntg_jax.evaluate import environment_for, held_out_scenes
+from fntg_jax.evaluation import environment_for, held_out_scenes
 from fntg_jax.export import Controller
 from fntg_jax.files import inert_json
 from fntg_jax.rollout import rollout, trajectory

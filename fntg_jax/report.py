@@ -13,9 +13,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from fntg_jax import evaluate, export, layout, plots, rules, runfolder
+from fntg_jax import evaluation, export, layout, plots, rules, runfolder
 from fntg_jax.rollout import trajectory
-from fntg_jax.train import Run
+from fntg_jax.runner import Run
 
 _FILES = (
     ("params.json", "the controller"),
@@ -129,13 +129,13 @@ def _figures_of_trials(run: Run, controller: export.Controller) -> str:
 def _evaluation(run: Run, controller: export.Controller, num_scenes: int) -> str:
     rows = []
     for suite in (name for name in run.world.suites if name != "paper"):
-        result = evaluate.evaluate(controller, run.world, suite, num_scenes, env=run.env)
+        result = evaluation.evaluate(controller, run.world, suite, num_scenes, env=run.env)
         cells = "".join(
             f"<td>{100 * r.share:.1f} % <small>({100 * r.low:.1f}&ndash;{100 * r.high:.1f})</small>"
             for r in result.rates.values()
         )
         rows.append(f"<tr><th>{_text(suite)}{cells}")
-    heads = "".join(f"<th>{_text(p)}" for p in ("suite", *evaluate.PARTS))
+    heads = "".join(f"<th>{_text(p)}" for p in ("suite", *evaluation.PARTS))
     note = (
         "reach: within 0.10 m after step 200; safe: never nearer than 0.145 m to an obstacle; "
         "stop: slower than 0.03 m/s over steps 170, 200, 220; success: all three. "

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fntg_jax import fntg, layout
-from fntg_jax.evaluate import environment_for, held_out_scenes
+from fntg_jax.evaluation import environment_for, held_out_scenes
 from fntg_jax.export import Controller
 from fntg_jax.labels import Label, describe_labels
 from fntg_jax.rollout import trajectory
@@ -22,9 +22,9 @@ DOMINANT = 0.25  # a rule that has more than this share of the firing on average
 
 
 class Rule(NamedTuple):
-    """A rule: name ("1121", the paper's indices), its labels, what it alone would command before clipping (m/s,
-    rad/s), and over the control steps of a suite its mean share of the firing, the share of
-    steps at which it is the strongest, and its peak."""
+    """A rule: name (the paper's indices, "1121"), its labels, what it alone would command before
+    clipping (m/s, rad/s), and over the control steps of a suite its mean share of the firing, the
+    share of steps at which it is the strongest, and its peak."""
 
     name: str
     labels: tuple[Label, ...]

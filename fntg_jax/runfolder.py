@@ -21,7 +21,7 @@ import numpy as np
 import fntg_jax
 from fntg_jax import export, fitness, fntg, ga, plots
 from fntg_jax.files import write_atomically
-from fntg_jax.train import History, Run, TrainConfig, decode_history, validate
+from fntg_jax.runner import History, Run, TrainConfig, decode_history, validate
 
 _PACKAGES = ("fntg-jax", "jax", "jaxlib", "numpy", "optax", "mujoco", "mujoco-mjx", "brax")
 
@@ -46,11 +46,19 @@ def load_config(folder: Path) -> TrainConfig:
         raise ValueError(f"{folder}: not a run folder (no readable config.json)") from None
     except ValueError as error:
         raise ValueError(f"{path}: not JSON ({error})") from None
+    except RecursionError:
+        raise ValueError(f"{path}: not a configuration: nested too deeply") from None
     try:
-        config = _from_dict(TrainConfig, data)
-        validate(config)
+        return config_from_dict(data)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from None
+
+
+def config_from_dict(data: Any) -> TrainConfig:
+    """A checked configuration from plain values.  Raises ValueError: field, value, what is
+    allowed."""
+    config = _from_dict(TrainConfig, data)
+    validate(config)
     return config
 
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fntg_jax import cli, evaluate, replay, runfolder, train
+from fntg_jax import cli, evaluation, replay, runfolder, runner
 from fntg_jax.fitness import success
 from fntg_jax.ga import GAConfig
 from tests.controllers import random_controller
 
-WORLD = train.get_world("kinematic")
+WORLD = runner.get_world("kinematic")
 HOSTILE = "</script><script>alert(1)</script><b title='x'>&amp;\u2028 @DATA@"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
@@ -34,7 +34,7 @@ def data_of(page):
 
 def test_panels_are_the_trials_that_evaluate_judges(panels):
     controller = random_controller(seed=3)
-    judged = evaluate.evaluate(controller, WORLD, "moving-obstacles", 3)
+    judged = evaluation.evaluate(controller, WORLD, "moving-obstacles", 3)
     for panel, n in zip(panels, (0, 2)):
         start = np.asarray(judged.scenes.start[n])
         np.testing.assert_allclose(panel["robot"][0][:2], start[:2], atol=1e-3)
@@ -102,9 +102,9 @@ def test_animation(panels, image_format):
 @pytest.fixture(scope="module")
 def run_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run") / "run"
-    config = train.TrainConfig(seeds=2, generations=2, first_seed=5, ga=GAConfig(population=8))
+    config = runner.TrainConfig(seeds=2, generations=2, first_seed=5, ga=GAConfig(population=8))
     runfolder.create(folder, config)
-    run = train.train(config)
+    run = runner.train(config)
     runfolder.finish(folder, run)
     return folder, run
 
@@ -113,7 +113,7 @@ def test_controllers_of_generations(run_folder):
     folder, run = run_folder
     best = runfolder.controller(run)
     index = best.provenance["seed"] - 5
-    theta = train.decode_history(run.history(), run.config)
+    theta = runner.decode_history(run.history(), run.config)
     for generation in (1, 2):
         found = runfolder.controller_of_generation(folder, generation)
         np.testing.assert_array_equal(found.theta, theta[index, generation - 1].astype(float))

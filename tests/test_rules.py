@@ -8,10 +8,10 @@ import jax
 import numpy as np
 import pytest
 
-from fntg_jax import cli, evaluate, export, fntg, labels, layout, rules, train
+from fntg_jax import cli, evaluation, export, fntg, labels, layout, rules, runner
 from tests.controllers import built_controller, random_controller
 
-WORLD = train.get_world("kinematic")
+WORLD = runner.get_world("kinematic")
 NEAR_FAR = {"a_A1": -5, "c_A1": 0.5, "a_A2": 5, "c_A2": 0.5}
 
 
@@ -97,7 +97,7 @@ def test_dead_and_dominant_rules():
 
 
 def test_more_scenes_leave_the_first_as_they_are():
-    few, many = (evaluate.held_out_scenes(WORLD, "blocked", n) for n in (2, 5))
+    few, many = (evaluation.held_out_scenes(WORLD, "blocked", n) for n in (2, 5))
     same = jax.tree.map(lambda a, b: bool((a == b[:2]).all()), few, many)
     assert all(jax.tree.leaves(same))
 

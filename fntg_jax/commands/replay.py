@@ -41,10 +41,10 @@ def main(argv: list[str]) -> None:
     if not options.controllers:
         raise ValueError("no controller given: name a params.json or a run folder")
     xla.configure()
-    from fntg_jax import replay, runfolder, train
+    from fntg_jax import replay, runfolder, runner
     from fntg_jax.files import write_atomically
 
-    world = train.get_world(options.env)
+    world = runner.get_world(options.env)
     titled = []
     for path in options.controllers:
         if options.generations and path.is_dir():
