@@ -69,10 +69,12 @@ def load(path: str | Path) -> "Controller":
     numbers or arrays, to v (m/s) and omega (rad/s), in NumPy.  Raises ValueError (one line) when
     it cannot be read or is not valid.
     """
+    import os
+
     from fntg_jax import export
 
-    path = Path(path)
-    return export.load(path / "params.json" if path.is_dir() else path)
+    # os.path, because Path.is_dir raises on names that no file can have.
+    return export.load(Path(path, "params.json") if os.path.isdir(path) else path)
 
 
 def save(controller: "Controller", path: str | Path) -> None:

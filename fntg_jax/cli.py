@@ -56,7 +56,9 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def refuse(message: str) -> None:
-    print(f"fntg: error: {' '.join(message.split())}", file=sys.stderr)
+    # Names and values from outside are quoted in it: no line breaks, no terminal sequences.
+    line = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in " ".join(message.split()))
+    print(f"fntg: error: {line}", file=sys.stderr)
     raise SystemExit(2)
 
 

@@ -1,6 +1,7 @@
 """`fntg replay`: watch trials."""
 
 import dataclasses
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -47,13 +48,14 @@ def main(argv: list[str]) -> None:
     world = runner.get_world(options.env)
     titled = []
     for path in options.controllers:
-        if options.generations and path.is_dir():
+        folder = os.path.isdir(path)
+        if options.generations and folder:
             titled += [
                 (f"{path.name}, generation {g}", runfolder.controller_of_generation(path, g))
                 for g in options.generations
             ]
         else:
-            titled.append((path.name if path.is_dir() else str(path), load_controller(path)))
+            titled.append((path.name if folder else str(path), load_controller(path)))
     num = len(titled) * len(options.scene)
     if num > 24:
         raise ValueError(f"{num} trials: allowed are up to 24")
