@@ -6,8 +6,6 @@ exported JSON document, so it also shows that the file can be evaluated without 
 
 import math
 
-import numpy as np
-
 
 def sigmoid_label(a: float, c: float, x: float) -> float:
     return 1.0 / (1.0 + math.exp(-a * (x - c)))

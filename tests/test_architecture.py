@@ -37,7 +37,9 @@ def test_arrows_between_packages(package, forbidden):
 
 
 def test_only_one_file_knows_brax():
-    users = {path for p in ("fntg_jax", "envs") for path, names in imports(p).items() if "brax" in names}
+    users = {
+        path for p in ("fntg_jax", "envs") for path, names in imports(p).items() if "brax" in names
+    }
     assert users <= {"envs/brax.py"}
 
 
@@ -54,7 +56,7 @@ print(json.dumps(sorted({name.split(".")[0] for name in sys.modules})))
 
 
 def test_the_environment_variables_of_xla_are_the_users(python):
-    code = "import os, fntg_jax.train; print(os.environ.get('XLA_FLAGS'))"
+    code = "import os, fntg_jax.runner; print(os.environ.get('XLA_FLAGS'))"
     assert python(code).strip() == "None"
 
 

@@ -3,7 +3,6 @@
 import json
 import signal
 import subprocess
-import time
 
 import numpy as np
 import pytest
@@ -271,11 +270,11 @@ def test_refusal_reaches_the_shell(fntg, tmp_path):
 
 def test_success_of_a_suite_is_counted_per_scene(finished):
     """`evaluate` in the library: shares are means over its own outcome."""
-    from fntg_jax import evaluate, train
+    from fntg_jax import evaluation, runner
 
     _, folder = finished
-    controller, world = export.load(folder / "params.json"), train.get_world("kinematic")
-    found = evaluate.evaluate(controller, world, "paper", 4)
+    controller, world = export.load(folder / "params.json"), runner.get_world("kinematic")
+    found = evaluation.evaluate(controller, world, "paper", 4)
     parts = success(found.outcome)
-    for name in evaluate.PARTS:
+    for name in evaluation.PARTS:
         assert found.rates[name].share == np.mean(getattr(parts, name))

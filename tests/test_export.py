@@ -173,11 +173,14 @@ def test_hostile_text_is_refused_in_one_line(text):
     refusal(text)
 
 
-@given(st.recursive(
-    st.none() | st.booleans() | st.floats() | st.text(max_size=5) | st.integers(),
-    lambda x: st.lists(x, max_size=4) | st.dictionaries(st.text(max_size=5), x, max_size=4),
-    max_leaves=10,
-), st.sampled_from(sorted(example())))
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.floats() | st.text(max_size=5) | st.integers(),
+        lambda x: st.lists(x, max_size=4) | st.dictionaries(st.text(max_size=5), x, max_size=4),
+        max_leaves=10,
+    ),
+    st.sampled_from(sorted(example())),
+)
 def test_any_other_value_of_any_field_is_refused_or_harmless(value, field):
     document = {**example(), field: value}
     try:

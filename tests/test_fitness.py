@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from fntg_jax.evaluate import wilson
+from fntg_jax.evaluation import wilson
 from fntg_jax.fitness import PaperWeights, paper_fitness, success
 from fntg_jax.rollout import Outcome
 

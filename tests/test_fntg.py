@@ -55,10 +55,7 @@ def commands(layout, thetas, observations, limits=fntg.Limits(), output="scale",
 def test_command_agrees_with_the_reference(layout, output):
     thetas, seen = random_thetas(layout, 200), random_observations(200)
     expected = np.asarray(
-        [
-            reference.command(document(layout, t, output, WIDE), o)
-            for t, o in zip(thetas, seen)
-        ]
+        [reference.command(document(layout, t, output, WIDE), o) for t, o in zip(thetas, seen)]
     )
     scale = np.asarray([WIDE.v_max, WIDE.omega_max])
     assert len(np.unique(expected[:, 0])) > 40  # not all of it clipped
@@ -125,9 +122,7 @@ def test_gradient_agrees_with_finite_differences():
     @jax.vmap
     def slope(*where_and_along):
         def averages(theta, o):
-            return jnp.stack(
-                fntg.weighted_averages(expand(layout, theta), fntg.Observation(*o))
-            )
+            return jnp.stack(fntg.weighted_averages(expand(layout, theta), fntg.Observation(*o)))
 
         where, along = where_and_along[:2], where_and_along[2:]
         return jax.jvp(averages, where, along)[1]

@@ -92,8 +92,12 @@ def test_crossover_cuts_are_distinct_and_uniform(points):
 
 def test_crossover_exchanges_every_second_piece():
     a, b = jnp.zeros(40, bool), jnp.ones(40, bool)
-    cross = jax.jit(jax.vmap(lambda k: (*ga.crossover(k, a, b, 3, 1.0), *ga.crossover(k, a, b, 3, 0.5))))
-    first, second, sometimes, _ = (np.asarray(x) for x in cross(jax.random.split(jax.random.key(0), 500)))
+    cross = jax.jit(
+        jax.vmap(lambda k: (*ga.crossover(k, a, b, 3, 1.0), *ga.crossover(k, a, b, 3, 0.5)))
+    )
+    first, second, sometimes, _ = (
+        np.asarray(x) for x in cross(jax.random.split(jax.random.key(0), 500))
+    )
     assert (first ^ second).all()
     assert (np.diff(first.astype(int), axis=1) != 0).sum(1).tolist() == [3] * 500
     assert not first[:, 0].any()  # the first piece stays
@@ -285,7 +289,7 @@ def test_floats_do_not_compile_twice():
 SEEDS = """
 import json, jax
 import numpy as np
-from fntg_jax.train import TrainConfig, train
+from fntg_jax.runner import TrainConfig, train
 from fntg_jax.ga import GAConfig
 def result(first, seeds):
     config = TrainConfig(seeds=seeds, first_seed=first, generations=4, ga=GAConfig(population=6))
