@@ -30,9 +30,12 @@ def main(argv: list[str]) -> None:
     options = parse(ExportOptions, argv, "export")
     from fntg_jax.files import write_atomically
 
+    to_file = str(options.out) != "-"
+    if to_file and not options.out.parent.is_dir():
+        raise ValueError(f"out = {options.out}: {options.out.parent} is not a folder")
     controller = load_controller(options.controller, options.seed)
     text = _WRITERS[options.to](controller)
-    if str(options.out) == "-":
+    if not to_file:
         sys.stdout.write(text)
         return
     try:
