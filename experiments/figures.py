@@ -43,7 +43,7 @@ def main(doc: str, name: str, run: Callable, plot: Callable) -> None:
 
 def finished_run(options: Options) -> Any:
     """The `runner.Run` of a folder, or a new one of the paper preset."""
-    from fntg_jax import runfolder, runner
+    from fntg_jax import runfolder, runner, settings
 
     if options.run is not None:
         run = runfolder.restore(options.run)
@@ -51,7 +51,7 @@ def finished_run(options: Options) -> Any:
             raise ValueError(f"{options.run}: not finished; continue it with --resume")
         return run
     config = dataclasses.replace(
-        runner.PRESETS["paper"],
+        settings.PRESETS["paper"],
         seeds=options.seeds,
         generations=options.generations,
         env=options.env,

@@ -24,17 +24,17 @@ __all__ = ["evaluate", "load", "save", "train"]
 def train(preset: str = "paper", out: str | Path | None = None, **options: Any) -> "Controller":
     """Learn controllers and return the best of all seeds.
 
-    options: fields of `runner.TrainConfig` over the preset's, e.g. seeds=10, generations=50,
+    options: fields of `settings.TrainConfig` over the preset's, e.g. seeds=10, generations=50,
     layout="full-63", ga={"population": 120}.  out: also write this run folder, as `fntg train`
     does.  Raises ValueError naming the field, its value and what is allowed.
     """
     import dataclasses
 
-    from fntg_jax import runfolder, runner
+    from fntg_jax import runfolder, runner, settings
 
-    if preset not in runner.PRESETS:
-        raise ValueError(f"preset = {preset!r}: known are {', '.join(runner.PRESETS)}")
-    values = dataclasses.asdict(runner.PRESETS[preset])
+    if preset not in settings.PRESETS:
+        raise ValueError(f"preset = {preset!r}: known are {', '.join(settings.PRESETS)}")
+    values = dataclasses.asdict(settings.PRESETS[preset])
     for name, value in options.items():
         nested = isinstance(value, dict) and isinstance(values.get(name), dict)
         values[name] = {**values[name], **value} if nested else value
@@ -57,9 +57,9 @@ def evaluate(
 ) -> "Evaluation":
     """Success on unseen scenes: `rates` has reach, safe, stop and success, each with `share`,
     `low` and `high` (Wilson 95 %).  Raises ValueError on an unknown suite or world."""
-    from fntg_jax import evaluation, runner
+    from fntg_jax import evaluation, settings
 
-    return evaluation.evaluate(controller, runner.get_world(env), suite, scenes, seed)
+    return evaluation.evaluate(controller, settings.get_world(env), suite, scenes, seed)
 
 
 def load(path: str | Path) -> "Controller":

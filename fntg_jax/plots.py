@@ -77,11 +77,12 @@ def bootstrap_median(values: np.ndarray, level: float = 0.95, draws: int = 1000)
     return np.stack([low, np.median(values, axis=0), high])
 
 
-def fitness_curves(history: Any, path: str | Path) -> Path:
+def fitness_curves(history: Any, path: str | Path, refined: np.ndarray | None = None) -> Path:
     """Fig. 5: best ("EC max") and average ("EC av") fitness by generation.
 
     history: best, mean [seed, generation].  Single runs as thin lines; with several seeds the
-    median and its 95 % bootstrap band.
+    median and its 95 % bootstrap band.  refined: [seed, n] validated fitness in the course of the
+    gradient refinement, which continues the figure.
     """
     figure, axes = _new(5.2, 3.6)
     seeds, generations = history.best.shape
@@ -100,9 +101,17 @@ def fitness_curves(history: Any, path: str | Path) -> Path:
     if seeds > 1:
         note = f"{seeds} seeds (thin lines); band: 95 % bootstrap interval of the median"
         axes.set_title(note, fontsize=9, loc="left")
-    axes.set_xlabel("generation")
+    end = generations
+    if refined is not None:
+        end = round(1.25 * generations)
+        along = np.linspace(generations, end, refined.shape[1])
+        axes.axvline(generations, color="0.5", linewidth=0.8, linestyle=":")
+        axes.plot(along, refined.T, color=GREEN, alpha=0.25 if seeds > 1 else 1, linewidth=0.8)
+        label = "refinement (validation scenes)"
+        axes.plot(along, np.median(refined, axis=0), color=GREEN, linewidth=1.8, label=label)
+    axes.set_xlabel("generation" if refined is None else "generation, then gradient steps")
     axes.set_ylabel("fitness $F$")
-    axes.set_xlim(0, generations)
+    axes.set_xlim(0, end)
     if seeds == 1:
         axes.set_ylim(bottom=0)
     else:

@@ -21,7 +21,8 @@ import numpy as np
 import fntg_jax
 from fntg_jax import export, fitness, fntg, ga, plots
 from fntg_jax.files import write_atomically
-from fntg_jax.runner import History, Run, TrainConfig, decode_history, validate
+from fntg_jax.runner import History, Result, Run, decode_history
+from fntg_jax.settings import TrainConfig, validate
 
 _PACKAGES = ("fntg-jax", "jax", "jaxlib", "numpy", "optax", "mujoco", "mujoco-mjx", "brax")
 
@@ -105,9 +106,10 @@ def restore(folder: Path) -> Run:
     return run
 
 
-def finish(folder: Path, run: Run) -> Path:
-    """Write results and figures of a completed run; returns the figure's path."""
-    history = run.history()
+def finish(folder: Path, run: Run) -> tuple[Path, Result]:
+    """Write results and figures of a completed run; returns the figure's path and what the
+    seeds came to."""
+    history, result = run.history(), run.conclude()
     rows = ["seed,generation,best,mean,num_nonfinite"]
     for s, g in np.ndindex(history.best.shape):
         seed = run.config.first_seed + s
@@ -123,37 +125,50 @@ def finish(folder: Path, run: Run) -> Path:
             "mean": history.mean,
             "num_nonfinite": history.num_nonfinite,
             "best_theta": decode_history(history, run.config),
+            "theta": result.theta,
+            "fitness": result.fitness,
+            **({} if result.refined is None else {"refined": result.refined}),
         },
     )
-    export.save(controller(run), folder / "params.json")
+    export.save(controller(run, result=result), folder / "params.json")
     _write_json(folder / "environment.json", environment(run))
-    return plots.fitness_curves(history, folder / "fig5.png")
+    figure = plots.fitness_curves(history, folder / "fig5.png", result.refined)
+    return figure, result
 
 
-def controller(run: Run, seed: int | None = None) -> export.Controller:
-    """The best genome of one seed, or of all, as a controller with its provenance."""
+def controller(
+    run: Run, seed: int | None = None, result: Result | None = None
+) -> export.Controller:
+    """The controller of one seed, or the best of all, with its provenance.
+
+    result: of `run.conclude()`, where the caller has it already.
+    """
     config = run.config
+    result = run.conclude() if result is None else result
     if seed is None:
-        index = int(np.argmax([run.best_bits(n)[1] for n in range(config.seeds)]))
+        index = int(np.argmax(result.fitness))
     else:
         index = seed - config.first_seed
         if not 0 <= index < config.seeds:
             last = config.first_seed + config.seeds - 1
             raise ValueError(f"seed = {seed}: the run has seeds {config.first_seed} to {last}")
-    bits, best = run.best_bits(index)
+    best, bits = float(result.fitness[index]), None
+    if result.bits is not None:
+        bits = "".join("1" if b else "0" for b in result.bits[index])
     limits = run.env.limits
-    return export.from_bits(
-        run.layout,
-        bits,
-        config.ga.num_bits,
-        config.ga.gray,
+    return export.Controller(
+        layout=run.layout,
+        theta=np.asarray(result.theta[index], np.float64),
+        bits=bits,
         output=config.output,
         limits=fntg.Limits(*(float(x) for x in (limits.v_min, limits.v_max, limits.omega_max))),
         control_dt=float(run.env.dt),
         provenance={
             "env": config.env,
             "suite": config.suite,
+            "objective": config.objective,
             "generations": run.generation,
+            "refine_steps": config.refine_steps,
             "seed": config.first_seed + index,
             "best_of_seeds": config.seeds if seed is None else 1,
             "fitness": best if np.isfinite(best) else None,

@@ -10,8 +10,7 @@ import json
 import time
 from collections.abc import Callable
 from functools import partial
-from importlib import metadata
-from typing import Any, Literal, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,154 +18,10 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
-from fntg_jax import fitness, fntg, ga, genome
-from fntg_jax.fitness import PaperWeights, SmoothWeights
-from fntg_jax.ga import GAConfig
-from fntg_jax.layout import Layout, get_layout
-from fntg_jax.rollout import rollout_pairs
-
-WORLDS = "fntg_jax.worlds"  # entry point group
-
-
-@dataclasses.dataclass(frozen=True)
-class TrainConfig:
-    """One learning run, or several that differ in their seed.
-
-    Attributes:
-        env: world, by its entry point name.
-        env_options: options of that world by name, e.g. dt 0.05 v_max 0.25.
-        layout: gene table: paper-31, three-sigma-31, two-sigma-31, mirror-28, reduced-47,
-            full-63.
-        output: "scale": a gene of 5 is full speed; "clip": genes are m/s and rad/s.
-        suite: training scenes: a suite, or several with their shares, open:2,blocked:3.
-        num_scenes: trials of a genome; their average counts.
-        scene_pool: 0: the same scenes in every generation; else as many scenes are drawn and
-            every generation takes num_scenes of them at random.
-        objective: "paper": the paper's fitness; "smooth": log-scaled and gated.
-        seeds: number of independent runs.
-        first_seed: seed of the first; the others follow.
-        generations: populations evaluated.
-        ga: genetic algorithm.
-        refine_steps: gradient steps after evolution; 0 for none.
-        refine_top: individuals of a seed that are refined; the best validated one is kept.
-        fitness: weights of the paper's fitness.
-        smooth: weights of the smooth objective.
-    """
-
-    env: str = "kinematic"
-    env_options: dict[str, float] = dataclasses.field(default_factory=dict)
-    layout: str = "paper-31"
-    output: fntg.Output = "scale"
-    suite: str = "paper"
-    num_scenes: int = 4
-    scene_pool: int = 0
-    objective: Literal["paper", "smooth"] = "paper"
-    seeds: int = 1
-    first_seed: int = 0
-    generations: int = 95
-    ga: GAConfig = GAConfig()
-    refine_steps: int = 0
-    refine_top: int = 4
-    fitness: PaperWeights = PaperWeights()
-    smooth: SmoothWeights = SmoothWeights()
-
-
-PRESETS = {
-    # Faithful to the paper, Section "Genetic learning".
-    "paper": TrainConfig(),
-    # Holds on scenes never seen in training; experiments/generalization.py compares the two.
-    "robust": TrainConfig(
-        suite="open:2,blocked:3",
-        num_scenes=48,
-        scene_pool=16384,
-        objective="smooth",
-        generations=600,
-        ga=GAConfig(
-            population=256,
-            gray=True,
-            selection="tournament",
-            tournament_size=4,
-            num_islands=4,
-            merge=0.4,
-            mutation_rate=0.02,
-            mutation_decay=0.15,
-            crossover_rate=0.9,
-            num_elites=2,
-        ),
-        refine_steps=0,
-    ),
-}
-
-
-def validate(config: TrainConfig) -> None:
-    """Check a configuration at the edge.  Raises ValueError: field, value, what is allowed."""
-    for name, least in (
-        ("seeds", 1),
-        ("generations", 1),
-        ("num_scenes", 1),
-        ("first_seed", 0),
-        ("scene_pool", 0),
-        ("refine_steps", 0),
-        ("refine_top", 1),
-    ):
-        value = getattr(config, name)
-        if value < least:
-            raise ValueError(f"{name} = {value}: allowed are whole numbers from {least}")
-    get_layout(config.layout)
-    fntg.output_gains(fntg.Limits(), config.output)
-    ga.validate(config.ga)
-    if 0 < config.scene_pool < config.num_scenes:
-        raise ValueError(
-            f"scene_pool = {config.scene_pool}: allowed are 0 and numbers from num_scenes = "
-            f"{config.num_scenes}"
-        )
-    if config.refine_top > config.ga.population:
-        raise ValueError(
-            f"refine_top = {config.refine_top}: allowed are 1 to the population, "
-            f"{config.ga.population}"
-        )
-    if config.objective not in OBJECTIVES:
-        raise ValueError(f"objective = {config.objective!r}: allowed are {', '.join(OBJECTIVES)}")
-    positive = ("gamma", "near", "still", "gate", "clearance_start", "ramp")
-    for group in ("fitness", "smooth"):
-        for name, value in dataclasses.asdict(getattr(config, group)).items():
-            if not (np.isfinite(value) and value >= 0):
-                raise ValueError(f"{group}.{name} = {value}: allowed are finite numbers from 0")
-            if value == 0 and name in positive and (group, name) != ("fitness", "still"):
-                raise ValueError(f"{group}.{name} = {value}: allowed are numbers above 0")
-    world = get_world(config.env)
-    get_suite(world, config.suite)
-    world.make(**config.env_options)
-
-
-OBJECTIVES = ("paper", "smooth")
-
-
-def get_suite(world: Any, suite: str) -> Callable[..., Any]:
-    """(key, num_scenes) -> scenes, for one suite or a mix "open:2,blocked:3".
-
-    Raises ValueError naming the unknown suite or the unusable share.
-    """
-    if ":" not in suite:
-        if suite not in world.suites:
-            raise ValueError(f"suite = {suite!r}: known are {', '.join(world.suites)}")
-        return world.suites[suite]
-    shares = []
-    for part in suite.split(","):
-        name, _, share = part.partition(":")
-        try:
-            shares.append((name, float(share)))
-        except ValueError:
-            raise ValueError(f"suite = {suite!r}: {part!r} is not NAME:SHARE") from None
-    return world.mix(tuple(shares))
-
-
-def get_world(name: str) -> Any:
-    """The world registered under that entry point.  Raises ValueError listing the known ones."""
-    found = {e.name: e for e in metadata.entry_points(group=WORLDS)}
-    if name not in found:
-        raise ValueError(f"env = {name!r}: known worlds are {', '.join(sorted(found)) or 'none'}")
-    return found[name].load()
+from fntg_jax import ga, genome, refine
+from fntg_jax.layout import get_layout
+from fntg_jax.objective import Static, Traced, draw_scenes, score
+from fntg_jax.settings import TrainConfig, get_suite, get_world, validate
 
 
 class History(NamedTuple):
@@ -194,7 +49,25 @@ class Progress(NamedTuple):
     control_steps: int
 
 
-_POOL_KEY = 0x9001  # of the training scenes; evaluation draws from other keys
+_POOL_KEY = 0x9001  # of the training scenes; the next of validation; evaluation draws others
+_VALIDATION = 2048  # scenes that the final controller is chosen on
+_SCREENING = 256  # of them, for a first look at the whole population
+_FINALISTS = 16
+
+
+class Result(NamedTuple):
+    """The controller of each seed, leading axis seed.
+
+    theta: [S, genes]; fitness: [S]; bits: the genomes, None after refinement; refined: [S, n]
+    fitness in the course of the refinement, None without.  Where all generations see the same
+    scenes this is the best genome of all generations; where scenes change, the individual of
+    the last population (or its refinement) that is best on validation scenes of their own.
+    """
+
+    theta: np.ndarray
+    fitness: np.ndarray
+    bits: np.ndarray | None
+    refined: np.ndarray | None
 
 
 class Run:
@@ -225,11 +98,11 @@ class Run:
         )(jnp.asarray(seeds, jnp.uint32))
         self.records: list[History] = []
 
-    def config_static(self) -> "Static":
+    def config_static(self) -> Static:
         c = self.config
         return Static(self.layout, c.output, c.objective, c.num_scenes, c.scene_pool > 0)
 
-    def traced(self) -> "Traced":
+    def traced(self) -> Traced:
         c = self.config
         horizon = dataclasses.replace(c.ga, horizon=float(c.generations))
         return Traced(horizon, self.env, c.fitness, c.smooth, self.scenes)
@@ -295,12 +168,32 @@ class Run:
         """All records so far."""
         return History(*(np.concatenate(x, axis=1) for x in zip(*self.records)))
 
-    def best_bits(self, seed_index: int) -> tuple[np.ndarray, float]:
-        """A seed's best genome of all generations and its fitness."""
-        return (
-            np.asarray(self.state.best_bits[seed_index]),
-            float(self.state.best_fitness[seed_index]),
+    def conclude(self) -> "Result":
+        """The controller of each seed: see `Result`.  The same answer however often it is asked,
+        also of a resumed run."""
+        if self.config.scene_pool == 0 and self.config.refine_steps == 0:
+            bits = np.asarray(self.state.best_bits)[: self.config.seeds]
+            theta = np.asarray(self._decode(bits))
+            return Result(theta, np.asarray(self.state.best_fitness)[: len(bits)], bits, None)
+        static, traced = self.config_static(), self.traced()
+        suite = get_suite(self.world, self.config.suite)
+        key = jax.random.key(_POOL_KEY + 1)
+        validation = suite(key, _VALIDATION) if static.fresh else self.scenes
+        choose = jax.jit(
+            partial(_conclude, config=self.config, static=static, mesh=self.mesh),
         )
+        theta, value, row, refined = choose(self.state, traced, validation)
+        num = self.config.seeds
+        bits = np.take_along_axis(
+            np.asarray(self.state.bits), np.asarray(row)[:, None, None], axis=1
+        )[:num, 0]
+        theta, value = np.asarray(theta)[:num], np.asarray(value)[:num]
+        if refined is None:
+            return Result(theta, value, bits, None)
+        return Result(theta, value, None, np.asarray(refined)[:num])
+
+    def _decode(self, bits):
+        return genome.decode(bits, self.config.ga.num_bits, self.config.ga.gray)
 
     # A checkpoint is the state and the records: everything else follows from the configuration.
 
@@ -378,45 +271,6 @@ def chunk_length(generations: int) -> int:
     return max(n for n in range(1, 11) if generations % n == 0)
 
 
-class Static(NamedTuple):
-    """What a program is compiled for, besides the shapes."""
-
-    layout: Layout
-    output: fntg.Output
-    objective: str
-    num_scenes: int
-    fresh: bool
-
-
-class Traced(NamedTuple):
-    """What may change without compiling again."""
-
-    ga: GAConfig
-    env: Any
-    fitness: PaperWeights
-    smooth: SmoothWeights
-    scenes: Any
-
-
-def score(static: Static, traced: Traced, theta, scenes, progress=1.0, **options):
-    """Fitness [P] of theta [P, genes] on scenes; options: those of `rollout.rollout`."""
-    outcome = rollout_pairs(
-        static.layout, theta, scenes, traced.env, output=static.output, **options
-    )
-    if static.objective == "paper":
-        return fitness.paper_fitness(outcome, traced.fitness)
-    return fitness.smooth_fitness(outcome, traced.smooth, progress)
-
-
-def draw_scenes(static: Static, traced: Traced, key):
-    """A generation's scenes: all, or num_scenes of the pool at random."""
-    if not static.fresh:
-        return traced.scenes
-    size = jax.tree.leaves(traced.scenes)[0].shape[0]
-    pick = jax.random.randint(key, (static.num_scenes,), 0, size)
-    return jax.tree.map(lambda x: x[pick], traced.scenes)
-
-
 def _make_fitness(static: Static, traced: Traced) -> ga.FitnessFn:
     def fitness_fn(key, theta, progress):
         return score(static, traced, theta, draw_scenes(static, traced, key), progress)
@@ -431,6 +285,44 @@ def _advance(state, traced, *, mesh, num_generations, make_fitness):
         return ga.evolve(seed_state, num_generations, make_fitness(traced), traced.ga)
 
     return _over_seeds(one_seed, mesh)(state)
+
+
+def _conclude(state, traced, validation, *, config, static, mesh):
+    """theta [S, genes], validated fitness [S], row of the population it comes from [S], and the
+    course of the refinement [S, n] in fitness, or None."""
+    few = jax.tree.map(lambda x: x[:_SCREENING], validation)
+
+    def cost_fn(theta, scenes):
+        # Checkpointed: reverse mode then stores one state a control step.
+        return 10 / score(static, traced, theta[None], scenes, checkpoint=True)[0]
+
+    def one_seed(bits, key):
+        theta = genome.decode(bits, config.ga.num_bits, config.ga.gray)
+        # A screening on few scenes, then the best of it on all.
+        screened = _best_first(score(static, traced, theta, few))[:_FINALISTS]
+        value = score(static, traced, theta[screened], validation)
+        order = _best_first(value)
+        rows, value = screened[order], value[order]
+        if config.refine_steps == 0:
+            return theta[rows[0]], value[0], rows[0], jnp.zeros((0,))
+        refined = refine.refine(
+            jax.random.fold_in(key, config.generations),
+            theta[rows[: config.refine_top]],
+            cost_fn,
+            lambda k: draw_scenes(static, traced, k),
+            validation,
+            refine.adam(config.refine_steps, config.refine_rate),
+            config.refine_steps,
+        )
+        best = jnp.argmin(refined.cost)
+        return refined.theta[best], 10 / refined.cost[best], rows[best], 10 / refined.history[best]
+
+    theta, value, row, course = _over_seeds(one_seed, mesh)(state.bits, state.key)
+    return theta, value, row, course if config.refine_steps else None
+
+
+def _best_first(value):
+    return jnp.argsort(jnp.where(jnp.isfinite(value), -value, jnp.inf))
 
 
 def _over_seeds(fn, mesh):

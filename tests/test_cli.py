@@ -270,10 +270,10 @@ def test_refusal_reaches_the_shell(fntg, tmp_path):
 
 def test_success_of_a_suite_is_counted_per_scene(finished):
     """`evaluate` in the library: shares are means over its own outcome."""
-    from fntg_jax import evaluation, runner
+    from fntg_jax import evaluation, settings
 
     _, folder = finished
-    controller, world = export.load(folder / "params.json"), runner.get_world("kinematic")
+    controller, world = export.load(folder / "params.json"), settings.get_world("kinematic")
     found = evaluation.evaluate(controller, world, "paper", 4)
     parts = success(found.outcome)
     for name in evaluation.PARTS:

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fntg_jax import cli, evaluation, replay, runfolder, runner
+from fntg_jax import cli, evaluation, replay, runfolder, runner, settings
 from fntg_jax.fitness import success
 from fntg_jax.ga import GAConfig
 from tests.controllers import random_controller
 
-WORLD = runner.get_world("kinematic")
+WORLD = settings.get_world("kinematic")
 HOSTILE = "</script><script>alert(1)</script><b title='x'>&amp;\u2028 @DATA@"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
@@ -102,7 +102,7 @@ def test_animation(panels, image_format):
 @pytest.fixture(scope="module")
 def run_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run") / "run"
-    config = runner.TrainConfig(seeds=2, generations=2, first_seed=5, ga=GAConfig(population=8))
+    config = settings.TrainConfig(seeds=2, generations=2, first_seed=5, ga=GAConfig(population=8))
     runfolder.create(folder, config)
     run = runner.train(config)
     runfolder.finish(folder, run)

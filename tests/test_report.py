@@ -6,14 +6,14 @@ import shutil
 
 import pytest
 
-from fntg_jax import cli, export, runfolder, runner
+from fntg_jax import cli, export, runfolder, runner, settings
 from fntg_jax.ga import GAConfig
 
 
 @pytest.fixture(scope="module")
 def run_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report") / "<b>run & @BODY@"
-    config = runner.TrainConfig(seeds=2, generations=2, ga=GAConfig(population=8))
+    config = settings.TrainConfig(seeds=2, generations=2, ga=GAConfig(population=8))
     runfolder.create(folder, config)
     run = runner.train(config)
     runfolder.save_checkpoint(folder, run)

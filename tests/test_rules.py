@@ -8,10 +8,10 @@ import jax
 import numpy as np
 import pytest
 
-from fntg_jax import cli, evaluation, export, fntg, labels, layout, rules, runner
+from fntg_jax import cli, evaluation, export, fntg, labels, layout, rules, settings
 from tests.controllers import built_controller, random_controller
 
-WORLD = runner.get_world("kinematic")
+WORLD = settings.get_world("kinematic")
 NEAR_FAR = {"a_A1": -5, "c_A1": 0.5, "a_A2": 5, "c_A2": 0.5}
 
 

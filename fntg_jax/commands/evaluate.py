@@ -35,10 +35,10 @@ class EvaluateOptions:
 def main(argv: list[str]) -> None:
     options = parse(EvaluateOptions, argv, "evaluate")
     xla.configure()
-    from fntg_jax import evaluation, runner
+    from fntg_jax import evaluation, settings
 
     controller = load_controller(options.controller)
-    world = runner.get_world(options.env)
+    world = settings.get_world(options.env)
     if options.suite != "all" and options.suite not in world.suites:
         raise ValueError(f"suite = {options.suite!r}: known are all, {', '.join(world.suites)}")
     env = evaluation.environment_for(controller, world, **options.env_options)

@@ -29,10 +29,10 @@ def main(argv: list[str]) -> None:
     if not 1 <= len(options.controllers) <= 2:
         raise ValueError(f"{len(options.controllers)} controllers: allowed are one or two")
     xla.configure()
-    from fntg_jax import plot_controller, runner
+    from fntg_jax import plot_controller, settings
 
     controllers = [(str(path), load_controller(path)) for path in options.controllers]
-    field = runner.get_world(options.env).field
+    field = settings.get_world(options.env).field
     for name in ("memberships", "surfaces"):
         path = options.out.with_name(f"{options.out.name}-{name}.png")
         try:

@@ -42,10 +42,10 @@ def main(argv: list[str]) -> None:
     if not options.controllers:
         raise ValueError("no controller given: name a params.json or a run folder")
     xla.configure()
-    from fntg_jax import replay, runfolder, runner
+    from fntg_jax import replay, runfolder, settings
     from fntg_jax.files import write_atomically
 
-    world = runner.get_world(options.env)
+    world = settings.get_world(options.env)
     titled = []
     for path in options.controllers:
         folder = os.path.isdir(path)

@@ -33,9 +33,9 @@ class RulesOptions:
 def main(argv: list[str]) -> None:
     options = parse(RulesOptions, argv, "rules")
     xla.configure()
-    from fntg_jax import rules, runner
+    from fntg_jax import rules, settings
 
     controller = load_controller(options.controller)
-    world = runner.get_world(options.env)
+    world = settings.get_world(options.env)
     base = rules.rule_base(controller, world, options.suite, options.scenes, options.seed)
     sys.stdout.write(rules.FORMATS[options.format](base))

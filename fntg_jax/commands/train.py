@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import tyro
 
 from fntg_jax import xla
@@ -32,12 +33,12 @@ class TrainOptions:
 
 
 def main(argv: list[str]) -> None:
-    from fntg_jax import runner
+    from fntg_jax import settings
 
-    preset = _preset(argv, list(runner.PRESETS))
+    preset = _preset(argv, list(settings.PRESETS))
     options_type = dataclasses.make_dataclass(
         "TrainOptions",
-        [("config", Annotated[runner.TrainConfig, tyro.conf.arg(name="")])]
+        [("config", Annotated[settings.TrainConfig, tyro.conf.arg(name="")])]
         + [
             (f.name, f.type, dataclasses.field(default=f.default))
             for f in dataclasses.fields(TrainOptions)[1:]
@@ -46,7 +47,7 @@ def main(argv: list[str]) -> None:
     )
     options_type.__doc__ = TrainOptions.__doc__
     options = parse(
-        options_type, argv, "train", options_type(runner.PRESETS[preset], preset=preset)
+        options_type, argv, "train", options_type(settings.PRESETS[preset], preset=preset)
     )
     resume = options.resume
     if resume is not None:
@@ -58,7 +59,7 @@ def main(argv: list[str]) -> None:
         folder = resume
     else:
         config = options.config
-        runner.validate(config)
+        settings.validate(config)
         stamp = time.strftime("%Y%m%d-%H%M%S")
         folder = options.out or Path("runs") / f"{preset}-{stamp}"
     xla.configure(num_cpu_devices=min(config.seeds, os.cpu_count() or 1))
@@ -79,12 +80,14 @@ def main(argv: list[str]) -> None:
             say(f"continuing after generation {run.generation}")
         _learn(run, folder)
     try:
-        figure = runfolder.finish(folder, run)
+        if config.scene_pool or config.refine_steps:
+            what = f", {config.refine_steps} gradient steps" if config.refine_steps else ""
+            say(f"choosing the controllers on validation scenes{what} ...")
+        figure, result = runfolder.finish(folder, run)
     except OSError as error:
         raise ValueError(f"{folder}: {error.strerror or error}") from None
-    best = sorted(run.best_bits(n)[1] for n in range(config.seeds))
-    spread = f", median over seeds {best[len(best) // 2]:.4g}" if len(best) > 1 else ""
-    say(f"best fitness {best[-1]:.4g}{spread}; {run.run_seconds:.2f} s of evolution")
+    spread = f", median over seeds {np.median(result.fitness):.4g}" if config.seeds > 1 else ""
+    say(f"best fitness {result.fitness.max():.4g}{spread}; {run.run_seconds:.2f} s of evolution")
     say(f"figure {figure}, controller {folder / 'params.json'}")
     print(folder)
 
