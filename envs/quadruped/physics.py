@@ -77,7 +77,8 @@ def step_fn(solver: Solver) -> StepFn:
     if solver.impl == "structured":
         from envs.quadruped import dynamics
 
-        return dynamics.step_fn(model)
+        numbers = dynamics.constants_of(model)
+        return lambda qpos, qvel, ctrl: dynamics.step(numbers, qpos, qvel, ctrl)
     # Called under a trace, too: the model must still be made of constants.
     with jax.ensure_compile_time_eval():
         mjx_model = mjx.put_model(model, impl=solver.impl)
