@@ -1,5 +1,5 @@
 """Worlds for soccer-playing robots: the field, scenes, and models that move in it."""
 
-from envs.base import Command, Environment, Limits, Observation, Scene, Snapshot
+from envs.base import Command, Environment, Limits, Observation, Scene, Snapshot, World
 
-__all__ = ["Command", "Environment", "Limits", "Observation", "Scene", "Snapshot"]
+__all__ = ["Command", "Environment", "Limits", "Observation", "Scene", "Snapshot", "World"]

@@ -8,6 +8,7 @@ Frames and signs: x forward, y left, angles counter-clockwise in (-pi, pi]; an a
 means "on the left".  SI units throughout.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from jaxtyping import Array, Bool, Float, Int
@@ -100,3 +101,17 @@ class Environment(Protocol[State]):
     def snapshot(self, state: State) -> Snapshot:
         """Positions for pictures."""
         ...
+
+
+class World(NamedTuple):
+    """What an entry point of the group "fntg_jax.worlds" names: a model and its scenes.
+
+    make: options by name (floats) -> Environment; ValueError on an unknown name or value.
+    suites: name -> (key, num_scenes) -> Scene.  mix: ((suite, share), ...) -> the same.
+    field: anything with length, width, goal_width, goal_depth, ball_radius (m), for pictures.
+    """
+
+    make: Callable[..., Any]
+    suites: dict[str, Callable[..., Scene]]
+    mix: Callable[..., Callable[..., Scene]]
+    field: Any

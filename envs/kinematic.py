@@ -11,8 +11,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from envs.base import Limits, Observation, Scalar, Scene, Snapshot
-from envs.field import Ball, Disc, Field, bearing, distance, move_disc, nearest_obstacle, roll_ball
+from envs import scenes
+from envs.base import Limits, Observation, Scalar, Scene, Snapshot, World
+from envs.field import (
+    FIELD,
+    Ball,
+    Disc,
+    Field,
+    bearing,
+    distance,
+    move_disc,
+    nearest_obstacle,
+    roll_ball,
+)
 
 
 def _traced(cls):
@@ -75,13 +86,9 @@ class Kinematic:
     limits: Limits = Limits()
     actuation: Actuation | None = None
     sensing: Sensing | None = None
-    ball_deceleration: Scalar = 0.05
+    ball_deceleration: Scalar = scenes.BALL_DECELERATION
     latency: int = dataclasses.field(default=0, metadata={"static": True})
-    field: Field = dataclasses.field(default=Field(), metadata={"static": True})
-
-    def __post_init__(self):
-        if isinstance(self.latency, int) and self.latency < 0:
-            raise ValueError(f"latency = {self.latency}: allowed are 0, 1, 2, ... control steps")
+    field: Field = dataclasses.field(default=FIELD, metadata={"static": True})
 
     def reset(self, scene: Scene) -> State:
         """The state at the start of a scene.  Raises nothing; shapes are the contract's."""
@@ -205,3 +212,43 @@ def _wrap(angle: Scalar) -> Scalar:
     """Angle into [-pi, pi), for one turn too many at most."""
     turn = 2 * jnp.pi
     return jnp.where(angle >= jnp.pi, angle - turn, jnp.where(angle < -jnp.pi, angle + turn, angle))
+
+
+# Option -> (least, largest) value.  Parts of the model are switched on by naming one of theirs.
+_LIMITS = {"v_min": (-1, 1), "v_max": (0.001, 1), "omega_max": (0.01, 10)}
+_ACTUATION = {"v_rate": (0.001, 100), "omega_rate": (0.01, 1000), "lag": (0, 10)}
+_SENSING = {"angle_noise": (0, 3.2), "range_noise": (0, 1)}
+_OTHER = {"dt": (0.001, 1), "ball_deceleration": (0, 10), "latency": (0, 100)}
+
+
+def make(**options: float) -> Kinematic:
+    """A `Kinematic` from flat options by name: dt, latency (steps), ball_deceleration; v_min,
+    v_max, omega_max; v_rate, omega_rate, lag (any of them switches actuation on); angle_noise,
+    range_noise (sensing).  Raises ValueError naming the option, its value and the allowed range.
+    """
+    known = {**_LIMITS, **_ACTUATION, **_SENSING, **_OTHER}
+    for name, value in options.items():
+        if name not in known:
+            raise ValueError(f"env option {name!r}: known are {', '.join(known)}")
+        low, high = known[name]
+        if not low <= value <= high:
+            raise ValueError(f"env option {name} = {value}: allowed are {low} to {high}")
+    if options.get("latency", 0) != int(options.get("latency", 0)):
+        raise ValueError(f"env option latency = {options['latency']}: allowed are whole steps")
+
+    def given(names):
+        return {name: options[name] for name in names if name in options}
+
+    limits = Limits(**given(_LIMITS))
+    if limits.v_min >= limits.v_max:
+        raise ValueError(f"env option v_min = {limits.v_min}: must be below v_max = {limits.v_max}")
+    other = given(_OTHER)
+    return Kinematic(
+        limits=limits,
+        actuation=Actuation(**given(_ACTUATION)) if given(_ACTUATION) else None,
+        sensing=Sensing(**given(_SENSING)) if given(_SENSING) else None,
+        **{**other, "latency": int(other.get("latency", 0))},
+    )
+
+
+world = World(make=make, suites=scenes.SUITES, mix=scenes.Mix, field=FIELD)

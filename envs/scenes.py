@@ -202,9 +202,7 @@ def _rest(ball, velocity):
     dt = 0.1
     rolling = Ball(ball[0], ball[1], velocity[0], velocity[1])
     steps = int(BALL_SPEED[1] / BALL_DECELERATION / dt) + 2
-    rolled = jax.lax.fori_loop(
-        0, steps, lambda _, b: roll_ball(b, dt, BALL_DECELERATION), rolling
-    )
+    rolled = jax.lax.fori_loop(0, steps, lambda _, b: roll_ball(b, dt, BALL_DECELERATION), rolling)
     return jnp.stack([rolled.x, rolled.y])
 
 
@@ -212,20 +210,25 @@ def _rest(ball, velocity):
 class Mix:
     """Training scenes: the named suites in the given proportions, freshly drawn from a key.
 
-    suites: name -> share.  Counts are rounded to the nearest scene, the first suite takes what
-    is left over.
+    Counts are rounded to the nearest scene, the first suite takes what is left over.  Raises
+    ValueError on an unknown suite or a share that is not positive.
     """
 
     shares: tuple[tuple[str, float], ...]
+
+    def __post_init__(self):
+        for name, share in self.shares:
+            if name not in SUITES:
+                raise ValueError(f"suite {name!r}: known are {', '.join(SUITES)}")
+            if not share > 0:
+                raise ValueError(f"share of suite {name} = {share}: allowed are numbers above 0")
 
     def __call__(self, key: Key[Array, ""], num_scenes: int) -> Scene:
         total = sum(share for _, share in self.shares)
         counts = [round(num_scenes * share / total) for _, share in self.shares]
         counts[0] += num_scenes - sum(counts)
         keys = jax.random.split(key, len(counts))
-        parts = [
-            SUITES[name](k, n) for (name, _), k, n in zip(self.shares, keys, counts) if n > 0
-        ]
+        parts = [SUITES[name](k, n) for (name, _), k, n in zip(self.shares, keys, counts) if n > 0]
         return concatenate(parts)
 
 
@@ -239,9 +242,7 @@ def concatenate(parts: list[Scene]) -> Scene:
     full = [
         p._replace(
             ball_velocity=_velocity(p.ball_velocity, p.ball, moving_ball),
-            obstacle_velocity=_velocity(
-                p.obstacle_velocity, p.obstacles[..., :2], moving_obstacle
-            ),
+            obstacle_velocity=_velocity(p.obstacle_velocity, p.obstacles[..., :2], moving_obstacle),
         )
         for p in parts
     ]

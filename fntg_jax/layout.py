@@ -173,7 +173,10 @@ def _build(
     for label, group in enumerate(sigmas):
         slots["sigma", label] = (sigma_genes[group], 1)
     # "speed of v_max / 5": with output="scale" a gene of 5 is full speed.
-    for table, symbol, unit, flip in (("V", "V", "v_max/5", 1), ("Omega", r"\Omega", "omega_max/5", -1)):
+    for table, symbol, unit, flip in (
+        ("V", "V", "v_max/5", 1),
+        ("Omega", r"\Omega", "omega_max/5", -1),
+    ):
         for i, j, k, l in np.ndindex(2, 2, 2, 3):  # noqa: E741
             far = j == 1 and not far_sees_angle
             if far and l > 0:

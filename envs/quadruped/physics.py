@@ -8,6 +8,8 @@ import contextlib
 import dataclasses
 import functools
 import io
+import os
+import warnings
 from collections.abc import Callable
 
 import jax
@@ -15,12 +17,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from envs.quadruped import mjcf
+from envs.quadruped import dynamics, mjcf
 from envs.quadruped.locomotion import Gait, leg_inverse, stance
 
 with contextlib.redirect_stdout(io.StringIO()):  # "Failed to import warp", which is optional
     from mujoco import mjx
 
+_FUSION = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
 IMPLS = ("jax", "warp", "structured")
 NUM_Q, NUM_V = 19, 18  # coordinates and speeds of the lean model
 
@@ -36,7 +39,7 @@ class Solver:
     Newton's method and its line search.  The defaults are the fastest that are stable.
     """
 
-    impl: str = "jax"
+    impl: str = "structured"
     timestep: float = 0.01
     substeps: int = 10
     iterations: int = 1
@@ -71,14 +74,23 @@ def step_fn(solver: Solver) -> StepFn:
     """The physics step of the lean model under a solver.
 
     Only position and velocity are carried from step to step: without warm start nothing else
-    has a memory.  Raises ImportError where impl='warp' lacks Warp.
+    has a memory.  Raises ImportError where impl='warp' lacks Warp, ValueError where XLA's flags
+    would make impl='jax' abort the process.
     """
     model = compile_model(mjcf.LEAN, solver)
+    fused = "xla_cpu_use_multi_output_fusion" in os.environ.get("XLA_FLAGS", "")
+    on_cpu = jax.default_backend() == "cpu"
     if solver.impl == "structured":
-        from envs.quadruped import dynamics
-
+        if on_cpu and not fused:
+            warnings.warn(f"{_FUSION} is not in XLA_FLAGS: compiling takes minutes", stacklevel=2)
         numbers = dynamics.constants_of(model)
         return lambda qpos, qvel, ctrl: dynamics.step(numbers, qpos, qvel, ctrl)
+    if solver.impl == "jax" and on_cpu and fused:
+        # jaxlib 0.10.2: "Check failed: GetNumDims() == other.GetNumResults()", an abort.
+        raise ValueError(
+            f"impl = 'jax' does not compile with {_FUSION}, which fntg sets: FNTG_XLA_FLAGS=off"
+            " leaves it out; or take impl = 'structured'"
+        )
     # Called under a trace, too: the model must still be made of constants.
     with jax.ensure_compile_time_eval():
         mjx_model = mjx.put_model(model, impl=solver.impl)

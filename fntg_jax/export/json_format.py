@@ -49,7 +49,9 @@ def to_dict(controller: Controller) -> dict[str, Any]:
             "V, Omega, bias": "output 'scale': v_max/5 and omega_max/5; 'clip': m/s and rad/s",
             "control_dt": "s",
         },
-        "genes": [{"name": g.name, "symbol": g.symbol, "unit": g.unit} for g in controller.layout.genes],
+        "genes": [
+            {"name": g.name, "symbol": g.symbol, "unit": g.unit} for g in controller.layout.genes
+        ],
         "provenance": controller.provenance,
     }
     if controller.bits is not None:

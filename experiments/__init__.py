@@ -1,0 +1,1 @@
+"""One script a figure or sweep: run(config) -> history, plot(history, path), main()."""

@@ -1,0 +1,122 @@
+"""What the figure scripts share: options, and a run from a folder or trained anew."""
+
+import dataclasses
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import tyro
+
+from fntg_jax import xla
+from fntg_jax.cli import refuse
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Where the data comes from and where the figure goes."""
+
+    run: Path | None = None
+    """a finished run folder; without it, train anew with the options below."""
+    out: Path = Path("runs/figures")
+    """folder for PNG, PDF and CSV."""
+    seeds: int = 30
+    """seeds, when training anew."""
+    generations: int = 95
+    """generations, when training anew."""
+    env: str = "kinematic"
+    """world, when training anew."""
+
+
+def main(doc: str, name: str, run: Callable, plot: Callable) -> None:
+    """Parse options, run, plot; bad input is one line and exit status 2."""
+    options = tyro.cli(Options, description=doc, prog=f"experiments/{name}.py")
+    xla.configure(num_cpu_devices=os.cpu_count() or 1)
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+        print(plot(run(options), options.out / f"{name}.png"))
+    except ValueError as error:
+        refuse(str(error))
+    except OSError as error:
+        refuse(f"out = {options.out}: {error.strerror or error}")
+
+
+def finished_run(options: Options) -> Any:
+    """The `train.Run` of a folder, or a new one of the paper preset."""
+    from fntg_jax import runfolder, train
+
+    if options.run is not None:
+        run = runfolder.restore(options.run)
+        if not run.done:
+            raise ValueError(f"{options.run}: not finished; continue it with --resume")
+        return run
+    config = dataclasses.replace(
+        train.PRESETS["paper"],
+        seeds=options.seeds,
+        generations=options.generations,
+        env=options.env,
+    )
+    return train.train(config)
+
+
+class Trials(NamedTuple):
+    """Recorded trials of one controller: batched `rollout.Trajectory` and how to draw them."""
+
+    trajectory: Any
+    field: Any
+    limits: Any
+    dt: float
+    title: str
+
+
+def paper_trials(options: Options, starts: slice) -> Trials:
+    """The paper's trial motions, by the best genome of the last generation.
+
+    Of several seeds, the one whose final best fitness is the median is shown: seeds are not
+    chosen for looks.
+    """
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    from fntg_jax import train
+    from fntg_jax.layout import expand_scalars
+    from fntg_jax.rollout import trajectory
+
+    run = finished_run(options)
+    history = run.history()
+    final = history.best[:, -1]
+    index = int(np.argsort(final)[(len(final) - 1) // 2])
+    theta = jnp.asarray(train.decode_history(history, run.config)[index, -1])
+    scenes = run.world.suites["paper"](jax.random.key(0), 4)
+    scenes = jax.tree.map(lambda x: x[starts], scenes)
+    params = expand_scalars(run.layout, theta)
+    record = jax.jit(jax.vmap(lambda s: trajectory(params, s, run.env, output=run.config.output)))
+    seed = run.config.first_seed + index
+    which = f"seed {seed}" + (f", the median of {len(final)}" if len(final) > 1 else "")
+    title = f"best genome of generation {history.best.shape[1]}, F = {final[index]:.3g}\n({which})"
+    return Trials(record(scenes), run.world.field, run.env.limits, float(run.env.dt), title)
+
+
+def write_csv(path: Path, header: str, columns: list[Any]) -> None:
+    """The numbers of a figure, beside it."""
+    import numpy as np
+
+    np.savetxt(
+        path, np.column_stack(columns), delimiter=",", header=header, comments="", fmt="%.9g"
+    )
+
+
+def write_trials_csv(path: Path, trials: Trials) -> None:
+    """Positions, distances and commands by trial and step; the last state has no command."""
+    import numpy as np
+
+    t = trials.trajectory
+    robot = np.asarray(t.snapshot.robot)[:, :-1]
+    num_trials, num_steps = robot.shape[:2]
+    trial, step = np.indices((num_trials, num_steps))
+    columns = [trial + 1, step * trials.dt, *np.moveaxis(robot, -1, 0)]
+    columns += [np.asarray(x)[:, :-1] for x in t.measured]
+    columns += [np.asarray(x) for x in t.command]
+    header = "trial,time,x,y,heading,d_ball,d_obstacle,theta_ball,theta_obstacle,v,omega"
+    write_csv(path, header, [c.ravel() for c in columns])

@@ -1,0 +1,92 @@
+"""The `fntg` command: dispatch, option parsing, error messages.
+
+Results go to stdout, words and progress to stderr; exit status 0, 2 for bad input (one line on
+stderr), 130 and 143 after Ctrl-C and SIGTERM.  Each command is a module of
+`fntg_jax.commands` with a function `main(argv)`.
+"""
+
+import contextlib
+import importlib
+import io
+import os
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+COMMANDS = {
+    "train": "learn controllers and write a run folder",
+    "evaluate": "success of a controller on suites of unseen scenes",
+    "export": "write a run's or file's controller in another format",
+}
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Entry point of the `fntg` command."""
+    argv = sys.argv[1:] if argv is None else argv
+    if not argv or argv[0] in ("-h", "--help"):
+        print("usage: fntg COMMAND [OPTIONS]\n")
+        for name, what in COMMANDS.items():
+            print(f"  {name:10s}{what}")
+        print("\n`fntg COMMAND --help` lists the options of a command.")
+        raise SystemExit(0)
+    command, rest = argv[0], argv[1:]
+    if command == "--version":
+        from fntg_jax import __version__
+
+        print(__version__)
+        raise SystemExit(0)
+    if command not in COMMANDS:
+        refuse(f"command {command!r}: known are {', '.join(COMMANDS)}")
+    try:
+        importlib.import_module(f"fntg_jax.commands.{command}").main(rest)
+    except ValueError as error:
+        refuse(str(error))
+    except BrokenPipeError:
+        # The reader has gone (`fntg ... | head`); nothing is left to say to it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(1) from None
+
+
+def refuse(message: str) -> None:
+    print(f"fntg: error: {' '.join(message.split())}", file=sys.stderr)
+    raise SystemExit(2)
+
+
+def say(message: str) -> None:
+    print(message, file=sys.stderr, flush=True)
+
+
+def parse(cls: type, argv: list[str], command: str, default: Any = None) -> Any:
+    """tyro, with its boxed error message folded to one line."""
+    caught = io.StringIO()
+    options = {} if default is None else {"default": default}
+    try:
+        with contextlib.redirect_stderr(caught):
+            return tyro.cli(cls, args=argv, prog=f"fntg {command}", **options)
+    except SystemExit as stop:
+        if stop.code != 2:
+            sys.stderr.write(caught.getvalue())
+            raise
+    lines = [re.sub(r"[│╭╮╰╯─]+", " ", line).strip() for line in caught.getvalue().split("\n")]
+    body = [line for line in lines[1:] if line]
+    rules = [n for n, line in enumerate(caught.getvalue().split("\n")[1:]) if "───" in line]
+    message = " ".join(body[: rules[0]] if rules else body)
+    raise ValueError(f"{message} (see fntg {command} --help)")
+
+
+def load_controller(path: Path, seed: int | None = None) -> Any:
+    """A controller from a parameter file or a run folder."""
+    from fntg_jax import export
+
+    if seed is not None:
+        from fntg_jax import runfolder
+
+        return runfolder.controller(runfolder.restore(path), seed)
+    return export.load(path / "params.json" if path.is_dir() else path)
+
+
+if __name__ == "__main__":
+    main()

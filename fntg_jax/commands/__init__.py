@@ -1,0 +1,1 @@
+"""The commands of `fntg`, one module each, imported when called."""

@@ -1,0 +1,64 @@
+"""`fntg evaluate`: success on suites of unseen scenes."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from fntg_jax import xla
+from fntg_jax.cli import load_controller, parse
+
+
+@dataclasses.dataclass(frozen=True)
+class EvaluateOptions:
+    """Success of a controller on suites of scenes: reach, safe, stop and all three, with Wilson
+    95 % intervals."""
+
+    controller: Annotated[Path, tyro.conf.Positional]
+    """params.json or a run folder."""
+    suite: str = "all"
+    """one suite, or all."""
+    scenes: int = 2000
+    """scenes a suite."""
+    seed: int = 0
+    """seed of the scenes."""
+    env: str = "kinematic"
+    """world, by its entry point name."""
+    env_options: dict[str, float] = dataclasses.field(default_factory=dict)
+    """options of that world by name, over the controller's own limits and control step."""
+    json: bool = False
+    """print JSON instead of a table."""
+
+
+def main(argv: list[str]) -> None:
+    options = parse(EvaluateOptions, argv, "evaluate")
+    xla.configure()
+    from fntg_jax import evaluate, train
+
+    controller = load_controller(options.controller)
+    world = train.get_world(options.env)
+    if options.suite != "all" and options.suite not in world.suites:
+        raise ValueError(f"suite = {options.suite!r}: known are all, {', '.join(world.suites)}")
+    env = evaluate.environment_for(controller, world, **options.env_options)
+    # The learning set-up of the paper is no test; it is there by name.
+    names = [n for n in world.suites if n != "paper"] if options.suite == "all" else [options.suite]
+    results = [
+        evaluate.evaluate(controller, world, name, options.scenes, options.seed, env)
+        for name in names
+    ]
+    if options.json:
+        document = {
+            r.suite: {"scenes": r.num_scenes, **{k: v._asdict() for k, v in r.rates.items()}}
+            for r in results
+        }
+        print(json.dumps(document, indent=1, allow_nan=False))
+        return
+    print(f"{'suite':18s}{'scenes':>7s}" + "".join(f"{p:>25s}" for p in evaluate.PARTS))
+    for r in results:
+        cells = "".join(
+            f"{f'{100 * x.share:.1f} % ({100 * x.low:.1f}-{100 * x.high:.1f})':>25s}"
+            for x in r.rates.values()
+        )
+        print(f"{r.suite:18s}{r.num_scenes:7d}{cells}")

@@ -1,0 +1,166 @@
+"""`fntg train`: a learning run with progress, checkpoints and a run folder."""
+
+import contextlib
+import dataclasses
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from fntg_jax import xla
+from fntg_jax.cli import parse, say
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainOptions:
+    """Learn controllers: a population of genomes, batched roll-outs, a genetic algorithm.
+
+    Attributes:
+        preset: starting point of all other options (given first or anywhere).
+        out: run folder; default runs/PRESET-DATE-TIME.
+        resume: continue this interrupted run folder; takes no other option.
+    """
+
+    config: Annotated[Any, tyro.conf.arg(name="")]
+    preset: str = "paper"
+    out: Path | None = None
+    resume: Path | None = None
+
+
+def main(argv: list[str]) -> None:
+    from fntg_jax import train
+
+    preset = _preset(argv, list(train.PRESETS))
+    options_type = dataclasses.make_dataclass(
+        "TrainOptions",
+        [("config", Annotated[train.TrainConfig, tyro.conf.arg(name="")])]
+        + [
+            (f.name, f.type, dataclasses.field(default=f.default))
+            for f in dataclasses.fields(TrainOptions)[1:]
+        ],
+        frozen=True,
+    )
+    options_type.__doc__ = TrainOptions.__doc__
+    options = parse(options_type, argv, "train", options_type(train.PRESETS[preset], preset=preset))
+    resume = options.resume
+    if resume is not None:
+        if len(argv) > 2 or options.out is not None:
+            raise ValueError("--resume takes the run folder and no other option")
+        from fntg_jax import runfolder
+
+        config = runfolder.load_config(resume)
+        folder = resume
+    else:
+        config = options.config
+        train.validate(config)
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        folder = options.out or Path("runs") / f"{preset}-{stamp}"
+    xla.configure(num_cpu_devices=min(config.seeds, os.cpu_count() or 1))
+    from fntg_jax import runfolder
+
+    if resume is None:
+        runfolder.create(folder, config)
+    run = runfolder.restore(folder)
+    say(
+        f"{config.seeds} run{'s' if config.seeds > 1 else ''} of {config.generations} generations, "
+        f"{config.ga.population} genomes x {config.num_scenes} scenes, world {config.env}, "
+        f"layout {config.layout}; folder {folder}"
+    )
+    if run.done:
+        say("this run is complete: writing its results again")
+    else:
+        if resume is not None:
+            say(f"continuing after generation {run.generation}")
+        _learn(run, folder)
+    try:
+        figure = runfolder.finish(folder, run)
+    except OSError as error:
+        raise ValueError(f"{folder}: {error.strerror or error}") from None
+    best = sorted(run.best_bits(n)[1] for n in range(config.seeds))
+    spread = f", median over seeds {best[len(best) // 2]:.4g}" if len(best) > 1 else ""
+    say(f"best fitness {best[-1]:.4g}{spread}; {run.run_seconds:.2f} s of evolution")
+    say(f"figure {figure}, controller {folder / 'params.json'}")
+    print(folder)
+
+
+def _preset(argv: list[str], known: list[str]) -> str:
+    """The value of --preset, before tyro needs it for the other options' defaults."""
+    for n, word in enumerate(argv):
+        if word == "--preset" or word.startswith("--preset="):
+            value = word.partition("=")[2] or (argv[n + 1] if n + 1 < len(argv) else "")
+            if value not in known:
+                raise ValueError(f"preset = {value!r}: known are {', '.join(known)}")
+            return value
+    return known[0]
+
+
+_CHECKPOINT_SECONDS = 2.0
+
+
+def _learn(run: Any, folder: Path) -> None:
+    """Advance a run to its end, with progress on stderr, leaving a checkpoint when stopped."""
+    from fntg_jax import runfolder
+
+    wanted: list[int] = []
+    handlers = {s: signal.signal(s, lambda n, _: wanted.append(n)) for s in _STOP}
+    try:
+        say("tracing and compiling ...")
+        say(f"tracing and compiling took {run.compile():.1f} s")
+        with _progress_bar(run) as show:
+            saved = time.monotonic()
+            while not run.done and not wanted:
+                show(run.advance())
+                if time.monotonic() - saved > _CHECKPOINT_SECONDS or run.done or wanted:
+                    runfolder.save_checkpoint(folder, run)
+                    saved = time.monotonic()
+    except OSError as error:
+        raise ValueError(f"{folder}: {error.strerror or error}") from None
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    if wanted and not run.done:
+        say(
+            f"stopped after generation {run.generation} of {run.config.generations}; "
+            f"continue with: fntg train --resume {folder}"
+        )
+        raise SystemExit(128 + wanted[0])
+
+
+_STOP = (signal.SIGINT, signal.SIGTERM)
+
+
+@contextlib.contextmanager
+def _progress_bar(run: Any):
+    """A callable that shows a `train.Progress`: a bar on a terminal, ten lines otherwise."""
+    total = run.config.generations
+    if not sys.stderr.isatty():
+        shown = [run.generation * 10 // total]
+
+        def line(p):
+            if p.generation * 10 // total > shown[0]:
+                shown[0] = p.generation * 10 // total
+                say(f"generation {p.generation}/{total}  {_words(p)}")
+
+        yield line
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("generation {task.completed}/{task.total}"),
+        BarColumn(),
+        TextColumn("{task.fields[words]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task("", total=total, completed=run.generation, words="")
+        yield lambda p: progress.update(task, completed=p.generation, words=_words(p))
+
+
+def _words(p: Any) -> str:
+    speed = p.control_steps / max(p.seconds, 1e-9)
+    return f"best {p.best:.3g}  average {p.mean:.3g}  {speed / 1e6:.1f} M control steps/s"

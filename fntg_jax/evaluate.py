@@ -1,0 +1,75 @@
+"""Success of a controller on suites of scenes, with Wilson intervals."""
+
+import math
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from fntg_jax import fitness
+from fntg_jax.export import Controller
+from fntg_jax.rollout import Outcome, rollout_pairs
+
+PARTS = ("reach", "safe", "stop", "success")
+
+
+class Rate(NamedTuple):
+    """A share of successes with its Wilson 95 % interval."""
+
+    share: float
+    low: float
+    high: float
+
+
+class Evaluation(NamedTuple):
+    """One suite: rates by part, and per trial the outcome and whether it succeeded."""
+
+    suite: str
+    num_scenes: int
+    rates: dict[str, Rate]
+    scenes: Any
+    outcome: Outcome
+    success: np.ndarray
+
+
+def wilson(successes: int, trials: int, z: float = 1.959964) -> Rate:
+    """Wilson score interval of a binomial share (E. B. Wilson, JASA 22, 1927)."""
+    p = successes / trials
+    centre = p + z * z / (2 * trials)
+    half = z * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
+    scale = 1 + z * z / trials
+    # Rounding must not push a bound past the share itself at 0 and 1.
+    low, high = (centre - half) / scale, (centre + half) / scale
+    return Rate(p, max(0.0, min(p, low)), min(1.0, max(p, high)))
+
+
+def evaluate(
+    controller: Controller, world: Any, suite: str, num_scenes: int, seed: int = 0, env: Any = None
+) -> Evaluation:
+    """Run a controller through `num_scenes` scenes of a suite, drawn from `seed`.
+
+    env: the world's environment, default `world.make` at the controller's own limits and
+    control step.  The suites are held out: training draws from other keys.
+    """
+    if num_scenes < 1:
+        raise ValueError(f"scenes = {num_scenes}: allowed are whole numbers from 1")
+    if suite not in world.suites:
+        raise ValueError(f"suite = {suite!r}: known are {', '.join(world.suites)}")
+    env = environment_for(controller, world) if env is None else env
+    # Training seeds are folded from small whole numbers; this constant keeps the suites apart.
+    key = jax.random.fold_in(jax.random.key(seed), 0x5CE4E)
+    scenes = world.suites[suite](key, num_scenes)
+    run = jax.jit(partial(rollout_pairs, controller.layout, output=controller.output))
+    outcome = run(jnp.asarray(controller.theta, jnp.float32)[None], scenes, env)
+    outcome = jax.tree.map(lambda x: np.asarray(x[0]), outcome)
+    parts = fitness.success(outcome)
+    rates = {name: wilson(int(np.sum(getattr(parts, name))), num_scenes) for name in PARTS}
+    return Evaluation(suite, num_scenes, rates, scenes, outcome, np.asarray(parts.success))
+
+
+def environment_for(controller: Controller, world: Any, **options: float) -> Any:
+    """The world at the controller's limits and control step."""
+    limits = {k: float(v) for k, v in controller.limits._asdict().items()}
+    return world.make(**{"dt": controller.control_dt, **limits, **options})

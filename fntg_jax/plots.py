@@ -1,0 +1,181 @@
+"""Figures 5 to 8 of the paper, publishable as they are: units, legible, colour-blind safe.
+
+Every function writes a PNG and a PDF beside it and returns the PNG's path.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+# Okabe and Ito's palette.
+BLUE, ORANGE, GREEN, RED, SKY, PURPLE = (
+    "#0072B2",
+    "#E69F00",
+    "#009E73",
+    "#D55E00",
+    "#56B4E9",
+    "#CC79A7",
+)
+COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED)
+_RC = {
+    "font.size": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "legend.frameon": False,
+    "savefig.dpi": 200,
+    "pdf.fonttype": 42,
+}
+
+
+def _new(width: float, height: float, rows: int = 1):
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    with plt.rc_context(_RC):
+        return plt.subplots(rows, 1, figsize=(width, height), layout="constrained", sharex=True)
+
+
+def _save(figure, path: str | Path) -> Path:
+    import matplotlib.pyplot as plt
+
+    path = Path(path)
+    with plt.rc_context(_RC):
+        figure.savefig(path.with_suffix(".pdf"), bbox_inches="tight")
+        figure.savefig(path.with_suffix(".png"), bbox_inches="tight")
+    plt.close(figure)
+    return path.with_suffix(".png")
+
+
+def bootstrap_median(values: np.ndarray, level: float = 0.95, draws: int = 1000) -> np.ndarray:
+    """Median over axis 0 and its percentile bootstrap interval: [3, ...] low, median, high.
+
+    The resampling is seeded, so that a figure drawn twice is the same figure.
+    """
+    rng = np.random.default_rng(0)
+    picks = rng.integers(0, values.shape[0], (draws, values.shape[0]))
+    medians = np.stack([np.median(values[p], axis=0) for p in picks])
+    tail = 50 * (1 - level)
+    low, high = np.percentile(medians, [tail, 100 - tail], axis=0)
+    return np.stack([low, np.median(values, axis=0), high])
+
+
+def fitness_curves(history: Any, path: str | Path) -> Path:
+    """Fig. 5: best ("EC max") and average ("EC av") fitness by generation.
+
+    history: best, mean [seed, generation].  Single runs as thin lines; with several seeds the
+    median and its 95 % bootstrap band.
+    """
+    figure, axes = _new(5.2, 3.6)
+    seeds, generations = history.best.shape
+    x = np.arange(1, generations + 1)
+    for values, colour, label in (
+        (history.best, BLUE, "best (EC max)"),
+        (history.mean, ORANGE, "average (EC av)"),
+    ):
+        if seeds == 1:
+            axes.plot(x, values[0], color=colour, label=label)
+            continue
+        axes.plot(x, values.T, color=colour, alpha=0.18, linewidth=0.6)
+        low, median, high = bootstrap_median(values)
+        axes.fill_between(x, low, high, color=colour, alpha=0.3, linewidth=0)
+        axes.plot(x, median, color=colour, linewidth=1.8, label=f"{label}, median")
+    if seeds > 1:
+        note = f"{seeds} seeds (thin lines); band: 95 % bootstrap interval of the median"
+        axes.set_title(note, fontsize=9, loc="left")
+    axes.set_xlabel("generation")
+    axes.set_ylabel("fitness $F$")
+    axes.set_xlim(0, generations)
+    if seeds == 1:
+        axes.set_ylim(bottom=0)
+    else:
+        axes.set_yscale("log")  # single runs differ by factors: on a linear axis one hides all
+        axes.set_ylim(bottom=max(0.01, np.percentile(history.mean, 1)))
+        axes.yaxis.set_major_formatter("{x:g}")
+    axes.legend(loc="lower right")
+    return _save(figure, path)
+
+
+def draw_field(axes, field: Any) -> None:
+    """The field from above, to scale, with its goals."""
+    length, width = field.length, field.width
+    axes.plot(
+        np.array([-1, 1, 1, -1, -1]) * length / 2,
+        np.array([-1, -1, 1, 1, -1]) * width / 2,
+        color="0.25",
+        linewidth=1.2,
+    )
+    for side in (-1, 1):
+        x = side * (length / 2 + np.array([0, field.goal_depth, field.goal_depth, 0]))
+        y = np.array([-1, -1, 1, 1]) * field.goal_width / 2
+        axes.plot(x, y, color="0.6", linewidth=1)
+    axes.plot([0, 0], [-width / 2, width / 2], color="0.85", linewidth=0.8, zorder=0)
+    axes.set_aspect("equal")
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("y (m)")
+    axes.grid(False)
+
+
+def trajectories(trials: Any, field: Any, path: str | Path, title: str = "") -> Path:
+    """Fig. 6 and 7: paths on the drawn field.  trials: batched `rollout.Trajectory`.
+
+    The ball is an asterisk as in the paper, start poses are arrows, obstacles are discs with
+    the ring of 0.145 m that the robot's centre must not enter.
+    """
+    from matplotlib.patches import Circle
+
+    figure, axes = _new(5.6, 4.0)
+    draw_field(axes, field)
+    robots = np.asarray(trials.snapshot.robot)
+    balls, obstacles = np.asarray(trials.snapshot.ball), np.asarray(trials.snapshot.obstacles)
+    for x, y, radius in np.unique(obstacles[:, -1].reshape(-1, 3), axis=0):
+        axes.add_patch(Circle((x, y), radius, color="0.45"))
+        axes.add_patch(
+            Circle((x, y), radius + 0.145, fill=False, color="0.45", linestyle=":", linewidth=1)
+        )
+    for n, robot in enumerate(robots):
+        colour = COLOURS[n % len(COLOURS)]
+        axes.plot(robot[:, 0], robot[:, 1], color=colour, linewidth=1.6)
+        x, y, heading = robot[0]
+        axes.annotate(
+            "",
+            (x + 0.16 * np.cos(heading), y + 0.16 * np.sin(heading)),
+            (x, y),
+            arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.4},
+        )
+        axes.plot(x, y, "o", color=colour, markersize=5)
+        axes.plot(robot[-1, 0], robot[-1, 1], "s", color=colour, markersize=4)
+        if len(np.unique(balls[n], axis=0)) > 1:
+            axes.plot(balls[n, :, 0], balls[n, :, 1], color="black", linestyle=":", linewidth=0.8)
+    for x, y in np.unique(balls[:, -1], axis=0):
+        axes.plot(x, y, "*", color="black", markersize=11, zorder=5)
+    axes.set_title(title, fontsize=9, loc="left")
+    return _save(figure, path)
+
+
+def velocities(trial: Any, limits: Any, dt: float, path: str | Path, title: str = "") -> Path:
+    """Fig. 8: linear (8a) and angular (8b) velocity of one trial over time."""
+    figure, (top, bottom) = _new(5.2, 4.2, rows=2)
+    v, omega = np.asarray(trial.command.v), np.asarray(trial.command.omega)
+    time = np.arange(len(v)) * dt
+    for axes, values, colour, label, bounds in (
+        (top, v, BLUE, "$v$ (m/s)", (float(limits.v_min), float(limits.v_max))),
+        (
+            bottom,
+            omega,
+            RED,
+            r"$\omega$ (rad/s)",
+            (-float(limits.omega_max), float(limits.omega_max)),
+        ),
+    ):
+        for bound in bounds:
+            axes.axhline(bound, color="0.6", linewidth=0.8, linestyle="--")
+        axes.step(time, values, color=colour, where="post")
+        axes.set_ylabel(label)
+    top.set_title(f"{title}\ndashed: limits".strip(), fontsize=9, loc="left")
+    bottom.set_xlabel("time (s)")
+    return _save(figure, path)

@@ -1,0 +1,212 @@
+"""The run folder: what a learning run leaves on disk, and how it is continued.
+
+config.json, metrics.csv, history.npz, params.json (best controller of all seeds),
+environment.json, checkpoint.npz, fig5.png and .pdf.  Every file is written atomically.
+"""
+
+import dataclasses
+import io
+import json
+import platform
+import subprocess
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+import fntg_jax
+from fntg_jax import export, fitness, fntg, ga, plots
+from fntg_jax.files import write_atomically
+from fntg_jax.train import History, Run, TrainConfig, decode_history, validate
+
+_PACKAGES = ("fntg-jax", "jax", "jaxlib", "numpy", "optax", "mujoco", "mujoco-mjx", "brax")
+
+
+def create(out: Path, config: TrainConfig) -> None:
+    """Make the folder and write config.json.  Raises ValueError where it cannot be made."""
+    try:
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise ValueError(f"out = {out}: exists already; choose a new folder, or --resume it")
+        out.mkdir(parents=True, exist_ok=True)
+        _write_json(out / "config.json", dataclasses.asdict(config))
+    except OSError as error:
+        raise ValueError(f"out = {out}: {error.strerror or error}") from None
+
+
+def load_config(folder: Path) -> TrainConfig:
+    """The configuration of a run folder.  Raises ValueError when it is none or is damaged."""
+    path = folder / "config.json"
+    try:
+        data = json.loads(path.read_text())
+    except OSError:
+        raise ValueError(f"{folder}: not a run folder (no readable config.json)") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: not JSON ({error})") from None
+    try:
+        config = _from_dict(TrainConfig, data)
+        validate(config)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {error}") from None
+    return config
+
+
+def _from_dict(cls: type, data: Any) -> Any:
+    if not isinstance(data, dict):
+        raise ValueError(f"{cls.__name__} is {type(data).__name__}: allowed is an object")
+    fields = {f.name: f for f in dataclasses.fields(cls)}
+    unknown = sorted(set(data) - set(fields))
+    if unknown:
+        raise ValueError(f"{unknown[0]!r}: unknown; known are {', '.join(fields)}")
+    nested = {"ga": ga.GAConfig, "fitness": fitness.PaperWeights}
+    values = {}
+    for name, value in data.items():
+        default = getattr(cls(), name)
+        if name in nested:
+            value = _from_dict(nested[name], value)
+        elif type(value) is not type(default) and not (
+            isinstance(default, float) and type(value) is int
+        ):
+            raise ValueError(f"{name} = {value!r}: allowed is {type(default).__name__}")
+        values[name] = value
+    return cls(**values)
+
+
+def save_checkpoint(folder: Path, run: Run) -> None:
+    """Write checkpoint.npz atomically."""
+    _write_npz(folder / "checkpoint.npz", run.to_arrays())
+
+
+def restore(folder: Path) -> Run:
+    """The run of a folder, at its last checkpoint.  Raises ValueError as `load_config`."""
+    run = Run(load_config(folder))
+    path = folder / "checkpoint.npz"
+    if path.exists():
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                run.from_arrays(dict(file))
+        except Exception as error:
+            raise ValueError(f"{path}: not a checkpoint of this run ({error})") from None
+    return run
+
+
+def finish(folder: Path, run: Run) -> Path:
+    """Write results and figures of a completed run; returns the figure's path."""
+    history = run.history()
+    rows = ["seed,generation,best,mean,num_nonfinite"]
+    for s, g in np.ndindex(history.best.shape):
+        seed = run.config.first_seed + s
+        rows.append(
+            f"{seed},{g + 1},{history.best[s, g]:.9g},{history.mean[s, g]:.9g},"
+            f"{history.num_nonfinite[s, g]}"
+        )
+    write_atomically(folder / "metrics.csv", ("\n".join(rows) + "\n").encode())
+    _write_npz(
+        folder / "history.npz",
+        {
+            "best": history.best,
+            "mean": history.mean,
+            "num_nonfinite": history.num_nonfinite,
+            "best_theta": decode_history(history, run.config),
+        },
+    )
+    export.save(controller(run), folder / "params.json")
+    _write_json(folder / "environment.json", environment(run))
+    return plots.fitness_curves(history, folder / "fig5.png")
+
+
+def controller(run: Run, seed: int | None = None) -> export.Controller:
+    """The best genome of one seed, or of all, as a controller with its provenance."""
+    config = run.config
+    if seed is None:
+        index = int(np.argmax([run.best_bits(n)[1] for n in range(config.seeds)]))
+    else:
+        index = seed - config.first_seed
+        if not 0 <= index < config.seeds:
+            last = config.first_seed + config.seeds - 1
+            raise ValueError(f"seed = {seed}: the run has seeds {config.first_seed} to {last}")
+    bits, best = run.best_bits(index)
+    limits = run.env.limits
+    return export.from_bits(
+        run.layout,
+        bits,
+        config.ga.num_bits,
+        config.ga.gray,
+        output=config.output,
+        limits=fntg.Limits(*(float(x) for x in (limits.v_min, limits.v_max, limits.omega_max))),
+        control_dt=float(run.env.dt),
+        provenance={
+            "env": config.env,
+            "suite": config.suite,
+            "generations": run.generation,
+            "seed": config.first_seed + index,
+            "best_of_seeds": config.seeds if seed is None else 1,
+            "fitness": best if np.isfinite(best) else None,
+            "num_bits": config.ga.num_bits,
+            "gray": config.ga.gray,
+            "fntg_jax": fntg_jax.__version__,
+            "jax": jax.__version__,
+        },
+    )
+
+
+def load_history(folder: Path) -> History:
+    """The history of a completed or interrupted run.  Raises ValueError as `restore`."""
+    run = restore(folder)
+    if not run.records:
+        raise ValueError(f"{folder}: nothing recorded yet; continue it with --resume")
+    return run.history()
+
+
+def environment(run: Run) -> dict[str, Any]:
+    """What the run ran on: versions, device, commit, seconds."""
+    device = jax.devices()[0]
+    return {
+        "versions": {"python": platform.python_version(), **_versions()},
+        "platform": platform.platform(),
+        "device": f"{device.platform}: {device.device_kind}",
+        "num_devices": run.mesh.size,
+        "git_commit": _git_commit(),
+        "compile_seconds": round(run.compile_seconds, 3),
+        "run_seconds": round(run.run_seconds, 3),
+        "control_steps": run.control_steps,
+    }
+
+
+def _versions() -> dict[str, str]:
+    found = {}
+    for name in _PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def _git_commit() -> str | None:
+    """Commit of the source tree the package is imported from, "+changes" where it differs."""
+    source = Path(__file__).parent
+
+    def git(*arguments):
+        done = subprocess.run(
+            ["git", "-C", str(source), *arguments], capture_output=True, text=True, timeout=10
+        )
+        return done.stdout.strip() if done.returncode == 0 else ""
+
+    try:
+        commit = git("rev-parse", "HEAD") if git("ls-files", "--", __file__) else ""
+        changed = git("status", "--porcelain", "--untracked-files=no") if commit else ""
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return f"{commit}+changes" if changed else commit or None
+
+
+def _write_json(path: Path, value: Any) -> None:
+    write_atomically(path, (json.dumps(value, indent=1, allow_nan=False) + "\n").encode())
+
+
+def _write_npz(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    write_atomically(path, buffer.getvalue())

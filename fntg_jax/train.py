@@ -1,0 +1,337 @@
+"""The runner: evolution in jitted chunks, with progress, checkpoints and a run folder.
+
+All seeds advance together, one chunk of generations at a time.  A chunk is one compiled call:
+seeds are spread over the local devices and mapped one after the other on each, so memory does
+not grow with their number, and a seed's result does not depend on how many run beside it.
+"""
+
+import dataclasses
+import json
+import time
+from collections.abc import Callable
+from functools import partial
+from importlib import metadata
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding
+from jax.sharding import PartitionSpec as P
+
+from fntg_jax import fitness, fntg, ga, genome
+from fntg_jax.fitness import PaperWeights
+from fntg_jax.ga import GAConfig
+from fntg_jax.layout import get_layout
+from fntg_jax.rollout import rollout_pairs
+
+WORLDS = "fntg_jax.worlds"  # entry point group
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainConfig:
+    """One learning run, or several that differ in their seed.
+
+    Attributes:
+        env: world, by its entry point name.
+        env_options: options of that world by name, e.g. dt 0.05 v_max 0.25.
+        layout: gene table: paper-31, three-sigma-31, two-sigma-31, mirror-28, reduced-47,
+            full-63.
+        output: "scale": a gene of 5 is full speed; "clip": genes are m/s and rad/s.
+        suite: training scenes.
+        num_scenes: trials of a genome; their average counts.
+        seeds: number of independent runs.
+        first_seed: seed of the first; the others follow.
+        generations: populations evaluated.
+        ga: genetic algorithm.
+        fitness: weights of the paper's fitness.
+    """
+
+    env: str = "kinematic"
+    env_options: dict[str, float] = dataclasses.field(default_factory=dict)
+    layout: str = "paper-31"
+    output: fntg.Output = "scale"
+    suite: str = "paper"
+    num_scenes: int = 4
+    seeds: int = 1
+    first_seed: int = 0
+    generations: int = 95
+    ga: GAConfig = GAConfig()
+    fitness: PaperWeights = PaperWeights()
+
+
+PRESETS = {"paper": TrainConfig()}
+
+
+def validate(config: TrainConfig) -> None:
+    """Check a configuration at the edge.  Raises ValueError: field, value, what is allowed."""
+    for name, least in (("seeds", 1), ("generations", 1), ("num_scenes", 1), ("first_seed", 0)):
+        value = getattr(config, name)
+        if value < least:
+            raise ValueError(f"{name} = {value}: allowed are whole numbers from {least}")
+    get_layout(config.layout)
+    fntg.output_gains(fntg.Limits(), config.output)
+    ga.validate(config.ga)
+    for name, value in dataclasses.asdict(config.fitness).items():
+        if not (np.isfinite(value) and value >= 0):
+            raise ValueError(f"fitness.{name} = {value}: allowed are finite numbers from 0")
+    if config.fitness.gamma <= 0:
+        raise ValueError(f"fitness.gamma = {config.fitness.gamma}: allowed are numbers above 0")
+    world = get_world(config.env)
+    if config.suite not in world.suites:
+        raise ValueError(f"suite = {config.suite!r}: known are {', '.join(world.suites)}")
+    world.make(**config.env_options)
+
+
+def get_world(name: str) -> Any:
+    """The world registered under that entry point.  Raises ValueError listing the known ones."""
+    found = {e.name: e for e in metadata.entry_points(group=WORLDS)}
+    if name not in found:
+        raise ValueError(f"env = {name!r}: known worlds are {', '.join(sorted(found)) or 'none'}")
+    return found[name].load()
+
+
+class History(NamedTuple):
+    """What evolution recorded, NumPy, leading axes (seed, generation).
+
+    best, mean: fitness of the generation; num_nonfinite: genomes without finite fitness;
+    best_bits: the generation's best genome, [seed, generation, length].
+    """
+
+    best: np.ndarray
+    mean: np.ndarray
+    num_nonfinite: np.ndarray
+    best_bits: np.ndarray
+
+
+class Progress(NamedTuple):
+    """How far a run is: generations done and wanted; best and mean fitness of the newest
+    generation, medians over seeds; seconds since evolution began and control steps so far."""
+
+    generation: int
+    generations: int
+    best: float
+    mean: float
+    seconds: float
+    control_steps: int
+
+
+class Run:
+    """Learning runs of one configuration: `compile`, then `advance` until `done`.
+
+    The object only holds what must survive between chunks; the arithmetic is in pure
+    functions.
+    """
+
+    def __init__(self, config: TrainConfig):
+        validate(config)
+        self.config = config
+        self.world = get_world(config.env)
+        self.layout = get_layout(config.layout)
+        self.env = self.world.make(**config.env_options)
+        self.chunk = chunk_length(config.generations)
+        devices = jax.local_devices()[: config.seeds]
+        self.mesh = Mesh(np.asarray(devices), ("seed",))
+        self.compile_seconds = 0.0
+        self.run_seconds = 0.0
+        seeds = config.first_seed + np.arange(self._padded_seeds())
+        self.state = jax.vmap(
+            lambda s: ga.init(jax.random.key(s), self.layout.num_genes, config.ga)
+        )(jnp.asarray(seeds, jnp.uint32))
+        self.records: list[ga.Record] = []
+
+    def _padded_seeds(self) -> int:
+        # Every device gets as many; the surplus is computed and dropped.
+        size = self.mesh.size
+        return -(-self.config.seeds // size) * size
+
+    @property
+    def generation(self) -> int:
+        return sum(r.best.shape[1] for r in self.records)
+
+    @property
+    def done(self) -> bool:
+        return self.generation >= self.config.generations
+
+    @property
+    def control_steps(self) -> int:
+        """Control steps of all seeds so far."""
+        c = self.config
+        return self.generation * c.seeds * c.ga.population * c.num_scenes * 220
+
+    def compile(self) -> float:
+        """Trace and compile a chunk; returns the seconds it took."""
+        start = time.perf_counter()
+        sharding = NamedSharding(self.mesh, P("seed"))
+        self.state = jax.device_put(self.state, sharding)
+        suite = self.world.suites[self.config.suite]
+        advance = jax.jit(
+            partial(
+                _advance,
+                mesh=self.mesh,
+                num_generations=self.chunk,
+                make_fitness=partial(
+                    _make_fitness,
+                    layout=self.layout,
+                    output=self.config.output,
+                    suite=suite,
+                    num_scenes=self.config.num_scenes,
+                ),
+            )
+        )
+        traced = (self.config.ga, self.env, self.config.fitness)
+        compiled = advance.lower(self.state, traced).compile()
+        self._advance = lambda state: compiled(state, traced)
+        self.compile_seconds += time.perf_counter() - start
+        return time.perf_counter() - start
+
+    def advance(self) -> Progress:
+        """Run one chunk of generations, on all seeds."""
+        start = time.perf_counter()
+        self.state, record = self._advance(self.state)
+        record = jax.tree.map(lambda x: np.asarray(x)[: self.config.seeds], record)
+        self.records.append(record)
+        self.run_seconds += time.perf_counter() - start
+        return self.progress()
+
+    def progress(self) -> Progress:
+        newest = self.records[-1]
+        return Progress(
+            generation=self.generation,
+            generations=self.config.generations,
+            best=float(np.median(newest.best[:, -1])),
+            mean=float(np.median(newest.mean[:, -1])),
+            seconds=self.run_seconds,
+            control_steps=self.control_steps,
+        )
+
+    def history(self) -> History:
+        """All records so far."""
+        return History(*(np.concatenate(x, axis=1) for x in zip(*self.records)))
+
+    def best_bits(self, seed_index: int) -> tuple[np.ndarray, float]:
+        """A seed's best genome of all generations and its fitness."""
+        return (
+            np.asarray(self.state.best_bits[seed_index]),
+            float(self.state.best_fitness[seed_index]),
+        )
+
+    # A checkpoint is the state and the records: everything else follows from the configuration.
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """The run as named arrays, to be written; `from_arrays` continues bit for bit."""
+        state, history = self.state, self.history()
+        return {
+            "config": np.asarray(json.dumps(dataclasses.asdict(self.config), sort_keys=True)),
+            "bits": np.packbits(np.asarray(state.bits), axis=-1),
+            "key": np.asarray(jax.random.key_data(state.key)),
+            "generation": np.asarray(state.generation),
+            "best_bits": np.packbits(np.asarray(state.best_bits), axis=-1),
+            "best_fitness": np.asarray(state.best_fitness),
+            "seconds": np.asarray([self.compile_seconds, self.run_seconds]),
+            "history_best": history.best,
+            "history_mean": history.mean,
+            "history_num_nonfinite": history.num_nonfinite,
+            "history_best_bits": np.packbits(history.best_bits, axis=-1),
+        }
+
+    def from_arrays(self, arrays: dict[str, np.ndarray]) -> None:
+        """Take over a checkpoint.  Raises ValueError when it belongs to another configuration
+        or lacks something."""
+        missing = [name for name in CHECKPOINT_ARRAYS if name not in arrays]
+        if missing:
+            raise ValueError(f"no {missing[0]} in it")
+        if str(arrays["config"]) != json.dumps(dataclasses.asdict(self.config), sort_keys=True):
+            raise ValueError("it was written by a run of another configuration")
+        length = self.state.bits.shape[-1]
+
+        def unpack(name):
+            return np.unpackbits(arrays[name], axis=-1, count=length).astype(bool)
+
+        num = self.config.seeds
+        saved = ga.State(
+            bits=unpack("bits"),
+            key=jax.random.wrap_key_data(arrays["key"]),
+            generation=arrays["generation"],
+            best_bits=unpack("best_bits"),
+            best_fitness=arrays["best_fitness"],
+        )
+        # The number of devices, and with it the padding, may have changed.
+        self.state = jax.tree.map(
+            lambda new, old: jnp.concatenate([old[:num], new[num:]]), self.state, saved
+        )
+        self.compile_seconds, self.run_seconds = map(float, arrays["seconds"])
+        self.records = [
+            ga.Record(
+                arrays["history_best"],
+                arrays["history_mean"],
+                arrays["history_num_nonfinite"],
+                unpack("history_best_bits"),
+            )
+        ]
+
+
+CHECKPOINT_ARRAYS = (
+    "config",
+    "bits",
+    "key",
+    "generation",
+    "best_bits",
+    "best_fitness",
+    "seconds",
+    "history_best",
+    "history_mean",
+    "history_num_nonfinite",
+    "history_best_bits",
+)
+
+
+def chunk_length(generations: int) -> int:
+    """Generations a compiled call: the largest divisor up to 10, so that one compilation serves
+    all chunks and a resumed run repeats exactly the calls of an uninterrupted one."""
+    return max(n for n in range(1, 11) if generations % n == 0)
+
+
+def _make_fitness(traced, *, layout, output, suite, num_scenes) -> ga.FitnessFn:
+    _, env, weights = traced
+
+    def fitness_fn(key, theta):
+        scenes = suite(key, num_scenes)
+        outcome = rollout_pairs(layout, theta, scenes, env, output=output)
+        return fitness.paper_fitness(outcome, weights)
+
+    return fitness_fn
+
+
+def _advance(state, traced, *, mesh, num_generations, make_fitness):
+    """A chunk of generations for every seed; state leaves [S, ...], records [S, n, ...]."""
+
+    def one_seed(seed_state):
+        config = traced[0]
+        return ga.evolve(seed_state, num_generations, make_fitness(traced), config)
+
+    return jax.shard_map(
+        lambda s: jax.lax.map(one_seed, s),
+        mesh=mesh,
+        in_specs=P("seed"),
+        out_specs=P("seed"),
+        check_vma=False,
+    )(state)
+
+
+def train(
+    config: TrainConfig = TrainConfig(), on_progress: Callable[[Progress], None] | None = None
+) -> Run:
+    """Run to the end, in memory.  `fntg train` also writes a run folder."""
+    run = Run(config)
+    run.compile()
+    while not run.done:
+        progress = run.advance()
+        if on_progress is not None:
+            on_progress(progress)
+    return run
+
+
+def decode_history(history: History, config: TrainConfig) -> np.ndarray:
+    """Genes of every generation's best genome, [seed, generation, genes] float32."""
+    return np.asarray(genome.decode(history.best_bits, config.ga.num_bits, config.ga.gray))
