@@ -91,6 +91,13 @@ def step_fn(solver: Solver) -> StepFn:
             f"impl = 'jax' does not compile with {_FUSION}, which fntg sets: FNTG_XLA_FLAGS=off"
             " leaves it out; or take impl = 'structured'"
         )
+    if solver.impl == "jax" and on_cpu and jax.local_device_count() > 1:
+        # jaxlib 0.10.2: batched Cholesky factorisations on two CPU devices of one process wait for
+        # each other's threads for ever.  The structured step has none.
+        raise ValueError(
+            "impl = 'jax' can hang on more than one CPU device in a process: run one seed a"
+            " process, or take impl = 'structured'"
+        )
     # Called under a trace, too: the model must still be made of constants.
     with jax.ensure_compile_time_eval():
         mjx_model = mjx.put_model(model, impl=solver.impl)
