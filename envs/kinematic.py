@@ -5,7 +5,7 @@ heading is kept as a unit vector, because sin and cos do not vectorise on CPU.
 """
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, dataclass_transform
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,7 @@ from envs.field import (
 )
 
 
+@dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
 def _traced(cls):
     """Frozen dataclass whose fields are traced leaves (None stays None: an absent part)."""
     cls = dataclasses.dataclass(frozen=True)(cls)
@@ -182,7 +183,7 @@ class Kinematic:
             ball=jnp.stack([state.ball.x, state.ball.y]),
             obstacles=jnp.stack([jnp.stack([d.x, d.y, d.radius]) for d in state.discs])
             if state.discs
-            else jnp.zeros((0, 3), state.x.dtype),
+            else jnp.zeros((0, 3), jnp.result_type(state.x)),
         )
 
 

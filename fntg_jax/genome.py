@@ -4,6 +4,8 @@ n in 0 .. 2^bits - 1 stands for low + (high - low) n / (2^bits - 1), so both bou
 representable and the step is 10 / 32767 = 0.0003.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,9 +14,7 @@ from jaxtyping import Array, Bool, Float
 from fntg_jax.layout import HIGH, LOW
 
 
-def decode(
-    bits: Bool[Array, "*batch length"], num_bits: int = 15, gray: bool = False
-) -> Float[Array, "*batch genes"]:
+def decode(bits: Any, num_bits: int = 15, gray: bool = False) -> Float[Array, "*batch genes"]:
     """Bit strings to genes.  bits: bool or 0/1, [..., genes * num_bits], in the genome's order.
 
     gray: the bits are reflected Gray code instead of plain binary.
@@ -26,10 +26,8 @@ def decode(
     return LOW + n.astype(jnp.float32) * jnp.float32((HIGH - LOW) / (2**num_bits - 1))
 
 
-def encode(
-    theta: Float[Array, "*batch genes"], num_bits: int = 15, gray: bool = False
-) -> Bool[Array, "*batch length"]:
-    """Genes to bit strings, rounded to the nearest representable value.
+def encode(theta: Any, num_bits: int = 15, gray: bool = False) -> Bool[Array, "*batch length"]:
+    """Genes [..., genes] to bit strings, rounded to the nearest representable value.
 
     Raises ValueError naming the first gene outside [-5, 5] or not a number.  Inside `jit`
     nothing can be raised: there, genes are clipped and NaN becomes the lower bound.

@@ -9,7 +9,7 @@ biases, only if one sigma is shared by the three D labels: 12 + 1 + 2 + 48 = 63;
 rules: 12 + 1 + 2 + 32 = 47; left-right symmetry: 12 + 1 + 2 + 16 = 31.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -26,16 +26,17 @@ class Params(NamedTuple):
     influencing"; V, Omega: rule constants [2, 2, 2, 3] indexed i, j, k, l; bias: b_21, b_22.
     """
 
-    a_A: Float[Array, "2"]
-    c_A: Float[Array, "2"]
-    a_B: Float[Array, "2"]
-    c_B: Float[Array, "2"]
-    a_C: Float[Array, "2"]
-    c_C: Float[Array, "2"]
-    sigma: Float[Array, "3"]
-    V: Float[Array, "2 2 2 3"]
-    Omega: Float[Array, "2 2 2 3"]
-    bias: Float[Array, "2"]
+    # Arrays, or nested tuples of scalars (`expand_scalars`); leading batch axes are allowed.
+    a_A: Any
+    c_A: Any
+    a_B: Any
+    c_B: Any
+    a_C: Any
+    c_C: Any
+    sigma: Any
+    V: Any
+    Omega: Any
+    bias: Any
 
 
 SHAPES = Params((2,), (2,), (2,), (2,), (2,), (2,), (3,), (2, 2, 2, 3), (2, 2, 2, 3), (2,))
@@ -61,7 +62,7 @@ class Layout(NamedTuple):
 
     name: str
     genes: tuple[Gene, ...]
-    index: tuple[int, ...]
+    index: tuple[int, ...]  # type: ignore[assignment]  # not tuple.index
     sign: tuple[int, ...]
 
     @property

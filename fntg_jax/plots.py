@@ -18,7 +18,7 @@ BLUE, ORANGE, GREEN, RED, SKY, PURPLE = (
     "#CC79A7",
 )
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED)
-_RC = {
+_RC: Any = {
     "font.size": 10,
     "axes.spines.top": False,
     "axes.spines.right": False,

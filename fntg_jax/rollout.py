@@ -132,4 +132,4 @@ def trajectory(
 
     state, (seen, commands) = jax.lax.scan(control_step, env.reset(scene), None, length=num_steps)
     seen = jax.tree.map(lambda xs, x: jnp.concatenate([xs, x[None]]), seen, look(state))
-    return Trajectory(*seen, commands)
+    return Trajectory(seen[0], seen[1], seen[2], commands)

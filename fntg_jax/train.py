@@ -138,7 +138,7 @@ class Run:
         self.state = jax.vmap(
             lambda s: ga.init(jax.random.key(s), self.layout.num_genes, config.ga)
         )(jnp.asarray(seeds, jnp.uint32))
-        self.records: list[ga.Record] = []
+        self.records: list[History] = []
 
     def _padded_seeds(self) -> int:
         # Every device gets as many; the surplus is computed and dropped.
@@ -189,8 +189,7 @@ class Run:
         """Run one chunk of generations, on all seeds."""
         start = time.perf_counter()
         self.state, record = self._advance(self.state)
-        record = jax.tree.map(lambda x: np.asarray(x)[: self.config.seeds], record)
-        self.records.append(record)
+        self.records.append(History(*(np.asarray(x)[: self.config.seeds] for x in record)))
         self.run_seconds += time.perf_counter() - start
         return self.progress()
 
@@ -250,11 +249,11 @@ class Run:
 
         num = self.config.seeds
         saved = ga.State(
-            bits=unpack("bits"),
-            key=jax.random.wrap_key_data(arrays["key"]),
-            generation=arrays["generation"],
-            best_bits=unpack("best_bits"),
-            best_fitness=arrays["best_fitness"],
+            bits=jnp.asarray(unpack("bits")),
+            key=jax.random.wrap_key_data(jnp.asarray(arrays["key"])),
+            generation=jnp.asarray(arrays["generation"]),
+            best_bits=jnp.asarray(unpack("best_bits")),
+            best_fitness=jnp.asarray(arrays["best_fitness"]),
         )
         # The number of devices, and with it the padding, may have changed.
         self.state = jax.tree.map(
@@ -262,7 +261,7 @@ class Run:
         )
         self.compile_seconds, self.run_seconds = map(float, arrays["seconds"])
         self.records = [
-            ga.Record(
+            History(
                 arrays["history_best"],
                 arrays["history_mean"],
                 arrays["history_num_nonfinite"],

@@ -87,9 +87,9 @@ def loads(text: str, source: str = "params.json") -> Controller:
     import jsonschema  # here: it costs start-up time that only loading needs
 
     validator = jsonschema.Draft202012Validator(schema())
-    error = jsonschema.exceptions.best_match(validator.iter_errors(document))
-    if error is not None:
-        refuse(f"{error.json_path.removeprefix('$.')}: {_shorten(error.message)}")
+    wrong = jsonschema.exceptions.best_match(validator.iter_errors(document))
+    if wrong is not None:
+        refuse(f"{wrong.json_path.removeprefix('$.')}: {_shorten(wrong.message)}")
     try:
         layout = get_layout(document["layout"])
     except ValueError as unknown:
