@@ -92,46 +92,47 @@ def leg_forward(q: Float[Array, "*b 4 3"]) -> Float[Array, "*b 4 3"]:
     return SHOULDERS + jnp.stack([x * FORE, y * SIDE, z], axis=-1)
 
 
-def leg_inverse(foot: Float[Array, "*b 4 3"]) -> Float[Array, "*b 4 3"]:
+def leg_inverse(foot: Float[Array, "*b 4 3"], xp=jnp) -> Float[Array, "*b 4 3"]:
     """Joint angles J1, J2, J3 (rad) that put the feet there (m, body's frame).
 
     The knee folds to its positive side.  A target out of reach is pulled to the nearest point
     of its ray from the shoulder that can be reached; then joint limits clamp.  Finite, with a
-    finite gradient, for every input.
+    finite gradient, for every input.  xp: jax.numpy, or numpy to stay out of JAX.
     """
+    angle = bearing if xp is jnp else lambda x, y: np.arctan2(y, x)
     local = foot - SHOULDERS
     x, y, z = local[..., 0] * FORE, local[..., 1] * SIDE, local[..., 2]
-    squared = jnp.maximum(x * x + y * y + z * z, 1e-8)
+    squared = xp.maximum(x * x + y * y + z * z, 1e-8)
     # |foot|^2 = thigh^2 + shin^2 + 2 thigh shin cos(J3 + knee angle)
     cos_knee = (squared - THIGH**2 - SHIN**2) / (2 * THIGH * SHIN)
     straight = 1 - 1e-6
     folded = math.cos(c.LEG_HIGH[2] + KNEE_ANGLE)
-    cos_knee = jnp.clip(cos_knee, folded, straight)
-    sin_knee = jnp.sqrt(1 - cos_knee * cos_knee)
-    q3 = bearing(cos_knee, sin_knee) - KNEE_ANGLE
+    cos_knee = xp.clip(cos_knee, folded, straight)
+    sin_knee = xp.sqrt(1 - cos_knee * cos_knee)
+    q3 = angle(cos_knee, sin_knee) - KNEE_ANGLE
     reached = THIGH**2 + SHIN**2 + 2 * THIGH * SHIN * cos_knee
-    shrink = jnp.sqrt(reached / squared)
+    shrink = xp.sqrt(reached / squared)
     x, y, z = x * shrink, y * shrink, z * shrink
     # sin and cos of J3 by the angle difference: no further transcendental function
     cos_a, sin_a = math.cos(KNEE_ANGLE), math.sin(KNEE_ANGLE)
     px = -c.KNEE_OFFSET + SHIN * (sin_knee * cos_a - cos_knee * sin_a)
     pz = -c.UPPER_LEG - SHIN * (cos_knee * cos_a + sin_knee * sin_a)
-    sin_out = jnp.clip(-y / jnp.minimum(pz, -1e-3), -straight, straight)
-    cos_out = jnp.sqrt(1 - sin_out * sin_out)
-    q2 = bearing(cos_out, sin_out)
+    sin_out = xp.clip(-y / xp.minimum(pz, -1e-3), -straight, straight)
+    cos_out = xp.sqrt(1 - sin_out * sin_out)
+    q2 = angle(cos_out, sin_out)
     down = -pz * cos_out
     # J1 turns (px, down) into (x, -z): one bearing of their quotient as complex numbers.
-    q1 = bearing(-z * down + x * px, x * down + z * px)
-    return jnp.clip(jnp.stack([q1, q2, q3], axis=-1), LOW, HIGH)
+    q1 = angle(-z * down + x * px, x * down + z * px)
+    return xp.clip(xp.stack([q1, q2, q3], axis=-1), LOW, HIGH)
 
 
-def stance(gait: Gait) -> Float[Array, "4 3"]:
+def stance(gait: Gait, xp=jnp) -> Float[Array, "4 3"]:
     """Where the feet stand in the body's frame, m."""
     hind = np.asarray([0.0, 0.0, 1.0, 1.0], np.float32)
     x = SHOULDERS[:, 0] + gait.fore_x + hind * (gait.hind_x - gait.fore_x)
     y = SHOULDERS[:, 1] + SIDE * (gait.fore_y + hind * (gait.hind_y - gait.fore_y))
     z = c.FOOT_RADIUS - gait.height + gait.tilt * (0.5 * FORE)
-    return jnp.stack([x, y, z * jnp.ones(4)], axis=-1)
+    return xp.stack([x, y, z * xp.ones(4)], axis=-1)
 
 
 def foot_targets(

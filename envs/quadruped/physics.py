@@ -114,12 +114,11 @@ def settled(gait: Gait, solver: Solver) -> np.ndarray:
     """Coordinates [19] of the dog standing at rest at the origin, heading along x.
 
     Found by letting it stand for two seconds in native MuJoCo.  Feet at exactly the floor's
-    height would be in contact in one precision and not in the other.
+    height would be in contact in one precision and not in the other.  Computed without JAX: making
+    a world must not start it, since XLA's flags may not be set yet.
     """
     model = compile_model(mjcf.LEAN, solver)
-    with jax.ensure_compile_time_eval():
-        feet = stance(gait)
-        joints = np.asarray(leg_inverse(feet)).ravel()
+    joints = leg_inverse(stance(gait, np), np).ravel()
     data = mujoco.MjData(model)
     data.qpos[2] = gait.height + 0.01
     data.qpos[7:] = joints

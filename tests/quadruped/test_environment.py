@@ -127,3 +127,20 @@ def test_batches_agree_with_single_trials(env, batch, drive):
     _, alone = drive(first, v[:1], omega[:1])
     # Other vector widths round differently; contacts let that grow a little.
     np.testing.assert_allclose(together.qpos[0, -1], alone.qpos[0, -1], atol=2e-3)
+
+
+def test_making_the_world_does_not_start_jax():
+    # Command lines set XLA's flags after checking options; XLA reads them when it starts.
+    import subprocess
+    import sys
+
+    code = """
+from jax._src import xla_bridge
+from envs.quadruped import make
+make()
+print(xla_bridge.backends_are_initialized())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=100, check=True
+    )
+    assert done.stdout.split() == ["False"]
