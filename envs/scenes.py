@@ -25,10 +25,10 @@ PAPER_OBSTACLE = (-0.3, 0.0, 0.12)  # x, y, radius: m
 
 BALL_TO_WALL = 0.30  # m, least distance of a ball from a wall ...
 BALL_TO_OBSTACLE = 0.35  # m, ... and from an obstacle's surface
-START_TO_WALL = 0.25  # m
-START_TO_OBSTACLE = 0.25  # m, from its surface
+START_TO_WALL = BALL_TO_WALL  # m
+START_TO_OBSTACLE = BALL_TO_OBSTACLE  # m, from its surface
 START_TO_BALL = 0.30  # m
-OBSTACLE_GAP = 0.40  # m, between two obstacles' surfaces: a robot passes with 0.2 m to spare
+OBSTACLE_GAP = 0.50  # m, between two obstacles' surfaces: a robot passes with 0.2 m to spare
 OBSTACLE_RADIUS = (0.08, 0.145)  # m: half of the ERS-210's width .. half of its length
 BLOCKED_OFFSET = 0.145  # m, how far a blocking obstacle's centre may be off the straight line
 BLOCKED_LENGTH = 1.0  # m, least distance from start to ball with an obstacle between
