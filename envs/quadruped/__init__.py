@@ -12,11 +12,13 @@ from envs.field import FIELD
 
 # Option -> (least, largest) value.
 _LIMITS = {"v_min": (-0.3, 0.3), "v_max": (0.001, 0.3), "omega_max": (0.01, 2.0)}
-_OTHER = {"ball_deceleration": (0, 10)}
+_OTHER = {"dt": (0.01, 1), "ball_deceleration": (0, 10)}
+_TIMESTEP = 0.01  # s, of physics
 
 
 def make(impl: str = "structured", **options: float) -> Any:
-    """A `Quadruped` from flat options by name: v_min, v_max, omega_max; ball_deceleration.
+    """A `Quadruped` from flat options by name: dt (whole hundredths of a
+    second); v_min, v_max, omega_max; ball_deceleration.
 
     impl: structured, jax or warp.  Raises ValueError naming the option, its value and the
     allowed range, and where MuJoCo is not installed.
@@ -31,6 +33,10 @@ def make(impl: str = "structured", **options: float) -> Any:
     limits = Limits(**{name: options.pop(name) for name in _LIMITS if name in options})
     if limits.v_min >= limits.v_max:
         raise ValueError(f"env option v_min = {limits.v_min}: must be below v_max = {limits.v_max}")
+    dt = options.pop("dt", 0.1)
+    substeps = round(dt / _TIMESTEP)
+    if abs(substeps * _TIMESTEP - dt) > 1e-6:
+        raise ValueError(f"env option dt = {dt}: allowed are multiples of {_TIMESTEP}")
     try:
         from envs.quadruped.environment import Quadruped
         from envs.quadruped.physics import Solver
@@ -38,7 +44,7 @@ def make(impl: str = "structured", **options: float) -> Any:
         if not (error.name or "").startswith("mujoco"):
             raise
         raise ValueError("the quadruped needs MuJoCo: pip install 'fntg-jax[mjx]'") from error
-    return Quadruped(limits=limits, solver=Solver(impl=impl), **options)
+    return Quadruped(limits=limits, solver=Solver(impl, _TIMESTEP, substeps), **options)
 
 
 def _world(impl: str) -> World:

@@ -65,7 +65,7 @@ def mjcf(
 {_LOOKS if full else ""}
   <worldbody>
     <geom name="floor" type="plane" size="0 0 0.1" contype="1"{' material="grass"' if full else ""}/>
-{_field() if full else ""}
+{_field() if full else ""}{_LIGHT if full else ""}
     <body name="trunk" pos="0 0 0.12">
       <freejoint name="base"/>
       <site name="imu"/>
@@ -257,9 +257,12 @@ def _field() -> str:
     return "\n".join(f"    {line}" for line in out)
 
 
+_LIGHT = """
+    <light directional="true" pos="0 0 3" dir="0.25 0.35 -1" diffuse="0.35 0.35 0.35"
+           specular="0 0 0" castshadow="true"/>"""
 _LOOKS = """  <visual>
     <global offwidth="1280" offheight="960"/>
-    <headlight ambient="0.45 0.45 0.45" diffuse="0.5 0.5 0.5" specular="0 0 0"/>
+    <headlight ambient="0.45 0.45 0.45" diffuse="0.35 0.35 0.35" specular="0 0 0"/>
   </visual>
   <asset>
     <texture name="sky" type="skybox" builtin="gradient" rgb1="0.7 0.8 0.9" rgb2="0.95 0.97 1"

@@ -117,6 +117,9 @@ def test_options_are_checked():
         make(legs=5)
     with pytest.raises(ValueError, match="v_max = 3"):
         make(v_max=3.0)
+    with pytest.raises(ValueError, match=r"dt = 0\.015"):
+        make(dt=0.015)
+    assert make(dt=0.05).dt == pytest.approx(0.05)
     assert make(v_max=0.25).limits.v_max == 0.25
 
 

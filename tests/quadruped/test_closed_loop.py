@@ -1,0 +1,80 @@
+"""Controllers around physics: our step against MuJoCo's C code, and gradients."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from scipy.stats import spearmanr  # noqa: E402
+
+from envs import scenes as suites  # noqa: E402
+from envs.base import Command  # noqa: E402
+from envs.quadruped import make, native  # noqa: E402
+from fntg_jax import fitness, fntg  # noqa: E402
+from fntg_jax.layout import expand, get_layout  # noqa: E402
+from fntg_jax.rollout import Outcome, rollout_pairs  # noqa: E402
+
+LAYOUT = get_layout("paper-31")
+
+
+def _flat(scenes, num):
+    return jax.tree.map(lambda x: jnp.concatenate([x] * num), scenes)
+
+
+@pytest.mark.slow
+def test_closed_loop_ranks_like_c_over_240_roll_outs():
+    env = make()
+    scenes = suites.paper(jax.random.key(0), 4)
+    theta = jax.random.uniform(jax.random.key(1), (60, 31), minval=-5, maxval=5)
+    ours = jax.jit(lambda t, s: rollout_pairs(LAYOUT, t, s, env))(theta, scenes)
+    params = expand(LAYOUT, jnp.repeat(theta, 4, axis=0))
+    control = jax.vmap(lambda p, seen: fntg.command(p, seen, env.limits))
+    episode = native.run(env, _flat(scenes, 60), lambda seen: control(params, seen))
+    steps = np.array([170, 200, 220])
+    theirs = Outcome(
+        distance=episode.observation.d_ball[steps].T,
+        v=episode.command.v[steps - 1].T,
+        omega=episode.command.omega[steps - 1].T,
+        clearance=episode.observation.d_obstacle.min(0),
+        v_peak=episode.command.v.max(0),
+        failed=episode.fallen[-1],
+    )
+    ours = jax.tree.map(lambda x: np.asarray(x).reshape(240, *x.shape[2:]), ours)
+
+    def score(outcome):
+        return np.asarray(fitness.paper_fitness(jax.tree.map(lambda x: x[:, None], outcome)))
+
+    assert np.std(np.log(score(theirs))) > 0.1  # the roll-outs differ at all
+    assert spearmanr(score(ours), score(theirs)).statistic >= 0.95
+
+
+def _distance_after(env, scene, num_steps):
+    def run(u):
+        def control_step(state, _):
+            return env.step(state, Command(u[0], u[1])), None
+
+        body = jax.checkpoint(control_step)
+        state, _ = jax.lax.scan(body, env.reset(scene), None, length=num_steps)
+        return env.measure(state).d_ball
+
+    return run
+
+
+@pytest.mark.slow
+def test_gradient_through_twenty_control_steps_equals_finite_differences():
+    env = make()
+    scene = jax.tree.map(lambda x: x[0], suites.paper(jax.random.key(0), 4))
+    run = _distance_after(env, scene, 20)
+    at = jnp.asarray([0.12, 0.4])
+    gradient = np.asarray(jax.jit(jax.grad(run))(at))
+    assert np.all(np.isfinite(gradient))
+    value = jax.jit(jax.vmap(run))
+    # Contacts switch on and off between two samples: over a wider baseline their jumps average.
+    eps = np.array([4e-3, 4e-2])
+    offsets = np.linspace(-1, 1, 21)
+    for i in range(2):
+        line = at + jnp.asarray(offsets[:, None] * eps[i] * np.eye(2)[i], jnp.float32)
+        slope = np.polyfit(offsets * eps[i], np.asarray(value(line)), 1)[0]
+        assert gradient[i] == pytest.approx(slope, rel=0.2, abs=0.02)
