@@ -26,6 +26,9 @@ from fntg_jax.rollout import Outcome, rollout_pairs
 from fntg_jax.train import get_world
 
 MIX = (("open", 0.5), ("blocked", 0.5))
+CAPTURE = 0.145  # m, where the quadruped brings the ball to; the kinematic world learns with it
+# A trial counts as unsafe from the first millimetre on; the paper's weight of 20 hardly sees one.
+WEIGHTS = fitness.PaperWeights(clearance=200.0)
 F_MOST = 100.0  # a trial's F counts up to here: about 0.05 m from the ball, standing
 
 
@@ -73,7 +76,7 @@ class Row(NamedTuple):
 def geometric_fitness(outcome: Outcome) -> Any:
     """exp(mean over trials of log min(F, 100)); outcome [P, T] gives [P]."""
     single = jax.tree.map(lambda x: x[:, :, None], outcome)
-    per_trial = jnp.minimum(fitness.paper_fitness(single), F_MOST)
+    per_trial = jnp.minimum(fitness.paper_fitness(single, WEIGHTS), F_MOST)
     return jnp.exp(jnp.mean(jnp.log(per_trial), axis=1))
 
 
@@ -122,7 +125,10 @@ def judge(stage, controller, config: Config, worlds=("kinematic", "quadruped")) 
     rows = []
     for name in worlds:
         for suite in ("open", "blocked"):
-            result = evaluate.evaluate(controller, get_world(name), suite, config.eval_scenes)
+            world = get_world(name)
+            options = {"capture": CAPTURE} if name == "kinematic" else {}
+            env = evaluate.environment_for(controller, world, **options)
+            result = evaluate.evaluate(controller, world, suite, config.eval_scenes, env=env)
             r = result.rates
             shares = [r[part].share for part in ("reach", "safe", "stop")]
             rows.append(Row(stage, name, suite, config.eval_scenes, *r["success"], *shares))
@@ -181,7 +187,7 @@ def run(config: Config) -> list[Row]:
     else:
         layout = get_layout(config.layout)
         best = evolve(
-            kinematic.make(), kinematic, layout, None, settings,
+            kinematic.make(capture=CAPTURE), kinematic, layout, None, settings,
             config.generations, config.num_scenes, config.seed, "kinematic",
         )  # fmt: skip
         first = export.from_bits(layout, np.asarray(best))
