@@ -82,7 +82,8 @@ class Kinematic:
     actuation, sensing: None switches the part off, as in the paper.  latency: how many control
     steps an observation is old (static).  capture: m ahead of the centre from where d_ball is
     measured (static); the quadruped's is 0.145, and a controller that shall walk it has to learn
-    with that: without, an approach at a constant bearing is as good as a straight one.  ball_deceleration: m/s^2 of a rolling ball.
+    with that: without, an approach at a constant bearing is as good as a straight one.
+    ball_deceleration: m/s^2 of a rolling ball.
     """
 
     dt: Scalar = 0.1
@@ -230,8 +231,8 @@ _OTHER = {"dt": (0.001, 1), "ball_deceleration": (0, 10), "latency": (0, 100), "
 
 
 def make(**options: float) -> Kinematic:
-    """A `Kinematic` from flat options by name: dt, latency (steps), capture, ball_deceleration; v_min,
-    v_max, omega_max; v_rate, omega_rate, lag (any of them switches actuation on); angle_noise,
+    """A `Kinematic` from flat options by name: dt, latency (steps), capture (m),
+    ball_deceleration; v_min, v_max, omega_max; v_rate, omega_rate, lag (any of them switches actuation on); angle_noise,
     range_noise (sensing).  Raises ValueError naming the option, its value and the allowed range.
     """
     known = {**_LIMITS, **_ACTUATION, **_SENSING, **_OTHER}

@@ -99,9 +99,7 @@ def evolve(env, world, layout, bits, config: ga.GAConfig, generations, num_scene
         state, record = advance(state, env)
         champions.append(record.best_bits)
         if (n + 1) % 10 == 0 or n == 0:
-            print(
-                f"{name} {n + 1}: best {record.best:.2f} mean {record.mean:.2f}", file=sys.stderr
-            )
+            print(f"{name} {n + 1}: best {record.best:.2f} mean {record.mean:.2f}", file=sys.stderr)
     # One generation's scenes are few: the last champions meet on many.
     last = jnp.stack(champions[-config.population :])
     theta = genome.decode(last, config.num_bits, config.gray)

@@ -1,10 +1,10 @@
 """Evolve the trot's parameters with our own genetic algorithm, and print what a gait does.
 
-    python -m experiments.tune_gait evolve --out gait.json     about two minutes on two cores
-    python -m experiments.tune_gait evolve --goal speed --out fast.json
-    python -m experiments.tune_gait table [--gait gait.json] [--csv table.csv]
-    python -m experiments.tune_gait speed [--gait gait.json]   forward speed against command
-    python -m experiments.tune_gait falls [--gait gait.json]   100 random command sequences
+python -m experiments.tune_gait evolve --out gait.json     about two minutes on two cores
+python -m experiments.tune_gait evolve --goal speed --out fast.json
+python -m experiments.tune_gait table [--gait gait.json] [--csv table.csv]
+python -m experiments.tune_gait speed [--gait gait.json]   forward speed against command
+python -m experiments.tune_gait falls [--gait gait.json]   100 random command sequences
 """
 
 import csv

@@ -48,9 +48,7 @@ def make(impl: str = "structured", **options: float) -> Any:
 
 
 def _world(impl: str) -> World:
-    return World(
-        make=partial(make, impl), suites=scenes.SUITES, mix=scenes.Mix, field=FIELD
-    )
+    return World(make=partial(make, impl), suites=scenes.SUITES, mix=scenes.Mix, field=FIELD)
 
 
 world = _world("structured")

@@ -88,8 +88,8 @@ def ldl_solve(factor, b):
 
 
 class Arrow(NamedTuple):
-    """Symmetric matrix of a trunk with legs: base[i][j] (j <= i) [batch], and a leg's coupling
-    cross[i][k] and own block leg[k][l] (l <= k) [4, batch]."""
+    """Symmetric matrix of a trunk with legs: base[i][j] (j <= i) [], and a leg's coupling
+    cross[i][k] and own block leg[k][l] (l <= k) [4]."""
 
     base: list
     cross: list
@@ -101,11 +101,10 @@ def solve_arrow(m: Arrow, base, leg):
     factor = ldl(m.leg)
     shares = [ldl_solve(factor, row) for row in m.cross]
     schur = [
-        [m.base[i][j] - over_legs(dot(m.cross[i], shares[j])) for j in range(i + 1)] for i in range(6)
+        [m.base[i][j] - over_legs(dot(m.cross[i], shares[j])) for j in range(i + 1)]
+        for i in range(6)
     ]
     rhs = [base[i] - over_legs(dot(shares[i], leg)) for i in range(6)]
     x = ldl_solve(ldl(schur), rhs)
-    own = [
-        leg[k] - total(*(m.cross[i][k] * x[i] for i in range(6))) for k in range(3)
-    ]
+    own = [leg[k] - total(*(m.cross[i][k] * x[i] for i in range(6))) for k in range(3)]
     return x, ldl_solve(factor, own)

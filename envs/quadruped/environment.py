@@ -57,9 +57,7 @@ class Quadruped:
     fall_tilt: Scalar = 0.7
     fall_height: Scalar = 0.06
     ball_deceleration: Scalar = 0.05
-    solver: physics.Solver = dataclasses.field(
-        default=physics.Solver(), metadata={"static": True}
-    )
+    solver: physics.Solver = dataclasses.field(default=physics.Solver(), metadata={"static": True})
     field: Field = dataclasses.field(default=Field(), metadata={"static": True})
     rest: Float[Array, "19"] | None = None
 
@@ -102,7 +100,9 @@ class Quadruped:
         command: v (m/s) and omega (rad/s), and v_y (m/s, to the left) where it has one.
         """
         v_y = getattr(command, "v_y", 0.0)
-        wanted = jnp.stack([jnp.asarray(u, state.qpos.dtype) for u in (command.v, v_y, command.omega)])
+        wanted = jnp.stack(
+            [jnp.asarray(u, state.qpos.dtype) for u in (command.v, v_y, command.omega)]
+        )
         stride, targets = self.targets(state, wanted)
         physics_step = physics.step_fn(self.solver)
 

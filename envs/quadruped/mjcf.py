@@ -46,8 +46,11 @@ def mjcf(
     flags = 'eulerdamp="disable" warmstart="disable"'
     if not full:
         flags += ' sensor="disable"'
+    # Locked parts become part of the trunk, and geoms that touch nothing only count as mass.
+    merge = ' fusestatic="true" discardvisual="true"'
+    grass = ' material="grass"' if full else ""
     return f"""<mujoco model="ers210-{variant}">
-  <compiler angle="radian" autolimits="true"{"" if full else ' fusestatic="true" discardvisual="true"'}/>
+  <compiler angle="radian" autolimits="true"{"" if full else merge}/>
   <option timestep="{timestep}" integrator="Euler" solver="Newton" cone="pyramidal"
           iterations="{iterations}" ls_iterations="{ls_iterations}">
     <flag {flags}/>
@@ -64,13 +67,14 @@ def mjcf(
   </default>
 {_LOOKS if full else ""}
   <worldbody>
-    <geom name="floor" type="plane" size="0 0 0.1" contype="1"{' material="grass"' if full else ""}/>
+    <geom name="floor" type="plane" size="0 0 0.1" contype="1"{grass}/>
 {_field() if full else ""}{_LIGHT if full else ""}
     <body name="trunk" pos="0 0 0.12">
       <freejoint name="base"/>
       <site name="imu"/>
       <geom name="trunk" type="capsule" fromto="-0.06 0 0.012 0.06 0 0.012" size="0.038" mass="0"/>
-      <geom name="trunk_box" type="box" pos="0 0 0.008" size="0.085 0.044 0.034" mass="{c.MASS_TRUNK}"/>
+      <geom name="trunk_box" type="box" pos="0 0 0.008" size="0.085 0.044 0.034"
+            mass="{c.MASS_TRUNK}"/>
 {"".join(_leg(i) for i in range(4))}{_head(full)}{_tail(full)}
     </body>
 {_ball() if full else ""}{"".join(_obstacle(k) for k in range(num_obstacles)) if full else ""}
@@ -223,7 +227,8 @@ def _field() -> str:
     depth = FIELD.goal_depth
     # Contact planes close the goal mouths, as in the scenes the controllers are trained on.
     out = [
-        f'<geom name="{name}" type="plane" size="0 0 0.1" pos="{x} {y} 0" xyaxes="{axes}" group="4"/>'
+        f'<geom name="{name}" type="plane" size="0 0 0.1" pos="{x} {y} 0" xyaxes="{axes}"'
+        ' group="4"/>'
         for name, x, y, axes in (
             ("wall_front", half_x, 0, "0 -1 0 0 0 1"),
             ("wall_back", -half_x, 0, "0 1 0 0 0 1"),
@@ -234,7 +239,8 @@ def _field() -> str:
 
     def box(x, y, half, colour, z=0.05, height=0.05):
         out.append(
-            f'<geom type="box" pos="{x} {y} {z}" size="{half[0]} {half[1]} {height}" rgba="{colour}"/>'
+            f'<geom type="box" pos="{x} {y} {z}" size="{half[0]} {half[1]} {height}"'
+            f' rgba="{colour}"/>'
         )
 
     white = "0.95 0.95 0.95 1"

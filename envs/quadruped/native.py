@@ -15,8 +15,7 @@ import numpy as np
 from mujoco import rollout as mujoco_rollout
 
 from envs.base import Observation, Scene
-from envs.field import Ball, Disc
-from envs.quadruped import constants as c
+from envs.field import Ball
 from envs.quadruped import mjcf, physics
 from envs.quadruped.environment import Quadruped, State
 
@@ -50,8 +49,8 @@ def run(
     """Drive a batch of scenes.  control: observation (leaves [scenes]) -> command, jitted here.
 
     The full variant takes each obstacle's radius into the model, so that it is compiled once a
-    scene.  A dog that has fallen goes on being simulated, with the state of before the fall kept
-    as in the environment; numbers that blow up are caught.
+    scene.  A dog that has fallen goes on being simulated, but what is judged is the state from
+    before the fall, as in the environment; numbers that blow up are caught.
     """
     num = scenes.start.shape[0]
     num_obstacles = scenes.obstacles.shape[1]
@@ -88,7 +87,7 @@ def run(
     commands = []
     with mujoco_rollout.Rollout(nthread=num_threads) as pool:
         for _ in range(num_steps):
-            record.append(jax.tree.map(np.asarray, (seen, qpos.copy(), _ball(state), _discs(state), state.fallen)))
+            record.append(_row(seen, qpos, state))
             _, command, stride, targets = before(state)
             commands.append(jax.tree.map(np.asarray, command))
             initial = np.zeros((num, size))
@@ -110,14 +109,15 @@ def run(
             qvel = end[:, 1 + model.nq : 1 + model.nq + model.nv].copy()
             lost = ~np.isfinite(qpos).all(1) | ~np.isfinite(qvel).all(1)
             qpos[lost], qvel[lost] = model.qpos0, 0
-            legs_q = jnp.asarray(np.where(lost[:, None], np.nan, qpos[:, : physics.NUM_Q]), jnp.float32)
+            legs_q = np.where(lost[:, None], np.nan, qpos[:, : physics.NUM_Q])
+            legs_q = jnp.asarray(legs_q, jnp.float32)
             legs_v = jnp.asarray(qvel[:, : physics.NUM_V], jnp.float32)
             state, seen = after(state, legs_q, legs_v, stride)
             if full:
                 x, y = jnp.asarray(qpos[:, ball : ball + 2].T, jnp.float32)
                 state = state._replace(ball=Ball(x, y))
                 seen = jax.vmap(env.measure)(state)
-    record.append(jax.tree.map(np.asarray, (seen, qpos.copy(), _ball(state), _discs(state), state.fallen)))
+    record.append(_row(seen, qpos, state))
     columns = [jax.tree.map(lambda *x: np.stack(x), *column) for column in zip(*record)]
     commands = jax.tree.map(lambda *x: np.stack(x), *commands)
     return Episode(columns[0], commands, *columns[1:])
@@ -139,6 +139,11 @@ def _model(variant: str, env: Quadruped, scenes: Scene, n: int, num_obstacles: i
     for k in range(num_obstacles):
         model.geom(f"obstacle{k}").size[0] = float(scenes.obstacles[n, k, 2])
     return model
+
+
+def _row(seen, qpos, state: State):
+    now = (seen, qpos.copy(), _ball(state), _discs(state), state.fallen)
+    return jax.tree.map(np.asarray, now)
 
 
 def _ball(state: State):

@@ -13,11 +13,10 @@ import warnings
 from collections.abc import Callable
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from envs.quadruped import dynamics, mjcf
+from envs.quadruped import dynamics, mjcf, rigid_body
 from envs.quadruped.locomotion import Gait, leg_inverse, stance
 
 with contextlib.redirect_stdout(io.StringIO()):  # "Failed to import warp", which is optional
@@ -83,7 +82,7 @@ def step_fn(solver: Solver) -> StepFn:
     if solver.impl == "structured":
         if on_cpu and not fused:
             warnings.warn(f"{_FUSION} is not in XLA_FLAGS: compiling takes minutes", stacklevel=2)
-        numbers = dynamics.constants_of(model)
+        numbers = rigid_body.constants_of(model)
         return lambda qpos, qvel, ctrl: dynamics.step(numbers, qpos, qvel, ctrl)
     if solver.impl == "jax" and on_cpu and fused:
         # jaxlib 0.10.2: "Check failed: GetNumDims() == other.GetNumResults()", an abort.

@@ -60,14 +60,14 @@ def frames(
     data = mujoco.MjData(model)
     renderer = _renderer(model, height, width)
     camera = mujoco.MjvCamera()
-    camera.distance, camera.elevation, camera.azimuth = (0.9, -20, 120) if follow else (3.4, -45, 90)
+    view_from = (0.9, -20, 120) if follow else (3.4, -45, 90)
+    camera.distance, camera.elevation, camera.azimuth = view_from
     pictures = []
     try:
         for n in range(len(qpos)):
             place(model, data, qpos[n], ball[n], obstacles[n])
             camera.lookat[:] = (*qpos[n, :2], 0.06) if follow else (0, -0.1, 0)
             renderer.update_scene(data, camera)
-            # Geoms of group 4 are what touches, not what is to be seen.
             pictures.append(renderer.render().copy())
     finally:
         renderer.close()
@@ -164,5 +164,3 @@ def episode(env: Any, scene: Any, control: Any, num_steps: int = 220, substeps: 
     times = path.shape[1]
     qpos = path.reshape(-1, path.shape[-1])
     return qpos, np.repeat(ball, times, 0), np.repeat(obstacles, times, 0), env.dt / times
-
-

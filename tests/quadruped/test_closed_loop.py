@@ -7,14 +7,14 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from scipy.stats import spearmanr  # noqa: E402
+from scipy.stats import spearmanr
 
-from envs import scenes as suites  # noqa: E402
-from envs.base import Command  # noqa: E402
-from envs.quadruped import make, native  # noqa: E402
-from fntg_jax import fitness, fntg  # noqa: E402
-from fntg_jax.layout import expand, get_layout  # noqa: E402
-from fntg_jax.rollout import Outcome, rollout_pairs  # noqa: E402
+from envs import scenes as suites
+from envs.base import Command
+from envs.quadruped import make, native
+from fntg_jax import fitness, fntg
+from fntg_jax.layout import expand, get_layout
+from fntg_jax.rollout import Outcome, rollout_pairs
 
 LAYOUT = get_layout("paper-31")
 

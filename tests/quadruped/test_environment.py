@@ -5,10 +5,10 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from envs import scenes  # noqa: E402
-from envs.base import Command, Scene  # noqa: E402
-from envs.quadruped import constants as c  # noqa: E402
-from envs.quadruped import make  # noqa: E402
+from envs import scenes
+from envs.base import Command, Scene
+from envs.quadruped import constants as c
+from envs.quadruped import make
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def test_it_walks_where_it_is_told(env, batch, drive):
     np.testing.assert_allclose(ahead, 0.6, atol=0.03)
     np.testing.assert_allclose(aside, 0, atol=0.05)
     omega = jnp.full((8, 40), -1.0)
-    start, after = drive(batch, 0 * v, omega)
+    _, after = drive(batch, 0 * v, omega)
     pose = jax.vmap(env.snapshot)(jax.tree.map(lambda x: x[:, -1], after)).robot
     turned = np.angle(np.exp(1j * (np.asarray(pose[:, 2] - batch.start[:, 2]) + 4.0)))
     np.testing.assert_allclose(turned, 0, atol=0.15)
@@ -113,7 +113,7 @@ def test_balls_roll_and_obstacles_walk(env):
 
 
 def test_options_are_checked():
-    with pytest.raises(ValueError, match="unknown|known are"):
+    with pytest.raises(ValueError, match="known are"):
         make(legs=5)
     with pytest.raises(ValueError, match="v_max = 3"):
         make(v_max=3.0)

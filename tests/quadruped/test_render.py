@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from envs.quadruped import make, render  # noqa: E402
+from envs.quadruped import make, render
 
 STAND = make().rest
 BALL = np.array([[0.3, 0.0]])

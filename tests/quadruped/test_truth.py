@@ -12,7 +12,7 @@ import pytest
 
 mujoco = pytest.importorskip("mujoco")
 
-from envs.quadruped import dynamics, physics  # noqa: E402
+from envs.quadruped import dynamics, physics, rigid_body  # noqa: E402
 from envs.quadruped.locomotion import load_gait, set_points  # noqa: E402
 from envs.quadruped.physics import Solver  # noqa: E402
 
@@ -78,7 +78,7 @@ def simulate(step, start, points):
 
 
 def test_accelerations_are_those_of_c(model):
-    numbers = dynamics.constants_of(model)
+    numbers = rigid_body.constants_of(model)
     rest = physics.settled(load_gait(), Solver())
     rng = np.random.default_rng(1)
     data = mujoco.MjData(model)
@@ -159,8 +159,9 @@ def test_batched_mjx_does_not_hang():
     code = """
 import jax, jax.numpy as jnp, numpy as np
 from envs.quadruped import physics
+from envs.quadruped.locomotion import load_gait
 step = physics.step_fn(physics.Solver(impl="jax"))
-rest = jnp.asarray(physics.settled(__import__("envs.quadruped.locomotion", fromlist=["x"]).load_gait(), physics.Solver()))
+rest = jnp.asarray(physics.settled(load_gait(), physics.Solver()))
 def one(v):
     ctrl = rest[7:]
     return jax.lax.fori_loop(0, 200, lambda _, s: step(*s, ctrl), (rest, v))[0]
