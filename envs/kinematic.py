@@ -232,8 +232,9 @@ _OTHER = {"dt": (0.001, 1), "ball_deceleration": (0, 10), "latency": (0, 100), "
 
 def make(**options: float) -> Kinematic:
     """A `Kinematic` from flat options by name: dt, latency (steps), capture (m),
-    ball_deceleration; v_min, v_max, omega_max; v_rate, omega_rate, lag (any of them switches actuation on); angle_noise,
-    range_noise (sensing).  Raises ValueError naming the option, its value and the allowed range.
+    ball_deceleration; v_min, v_max, omega_max; v_rate, omega_rate, lag (any of them switches
+    actuation on); angle_noise, range_noise (sensing).  Raises ValueError naming the option, its
+    value and the allowed range.
     """
     known = {**_LIMITS, **_ACTUATION, **_SENSING, **_OTHER}
     for name, value in options.items():
