@@ -109,6 +109,8 @@ class Quadruped:
         def substep(carry, ctrl):
             return physics_step(*carry, ctrl), None
 
+        # Reverse mode keeps one state a physics step and computes the rest again.
+        substep = jax.checkpoint(substep, prevent_cse=False)
         (qpos, qvel), _ = jax.lax.scan(substep, (state.qpos, state.qvel), targets)
         turns = state.phase + self.dt / self.gait.period
         return self.accept(state, qpos, qvel, turns - jnp.floor(turns), stride)
