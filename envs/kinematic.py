@@ -140,7 +140,8 @@ class Kinematic:
             time=None if state.time is None else state.time + 1,
         )
         if state.past:
-            new = new._replace(past=(*state.past[1:], self.measure(new)))
+            # What is measured before this step is the newest thing still on its way.
+            new = new._replace(past=(*state.past[1:], self.measure(state)))
         return new
 
     def _follow(self, now: Scalar, wanted: Scalar, rate: Scalar) -> Scalar:

@@ -42,8 +42,8 @@ def main(doc: str, name: str, run: Callable, plot: Callable) -> None:
 
 
 def finished_run(options: Options) -> Any:
-    """The `train.Run` of a folder, or a new one of the paper preset."""
-    from fntg_jax import runfolder, train
+    """The `runner.Run` of a folder, or a new one of the paper preset."""
+    from fntg_jax import runfolder, runner
 
     if options.run is not None:
         run = runfolder.restore(options.run)
@@ -51,12 +51,12 @@ def finished_run(options: Options) -> Any:
             raise ValueError(f"{options.run}: not finished; continue it with --resume")
         return run
     config = dataclasses.replace(
-        train.PRESETS["paper"],
+        runner.PRESETS["paper"],
         seeds=options.seeds,
         generations=options.generations,
         env=options.env,
     )
-    return train.train(config)
+    return runner.train(config)
 
 
 class Trials(NamedTuple):
@@ -79,7 +79,7 @@ def paper_trials(options: Options, starts: slice) -> Trials:
     import jax.numpy as jnp
     import numpy as np
 
-    from fntg_jax import train
+    from fntg_jax import runner
     from fntg_jax.layout import expand_scalars
     from fntg_jax.rollout import trajectory
 
@@ -87,7 +87,7 @@ def paper_trials(options: Options, starts: slice) -> Trials:
     history = run.history()
     final = history.best[:, -1]
     index = int(np.argsort(final)[(len(final) - 1) // 2])
-    theta = jnp.asarray(train.decode_history(history, run.config)[index, -1])
+    theta = jnp.asarray(runner.decode_history(history, run.config)[index, -1])
     scenes = run.world.suites["paper"](jax.random.key(0), 4)
     scenes = jax.tree.map(lambda x: x[starts], scenes)
     params = expand_scalars(run.layout, theta)

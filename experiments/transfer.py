@@ -20,10 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from fntg_jax import evaluate, export, fitness, fntg, ga, genome, xla
+from fntg_jax import evaluation, export, fitness, fntg, ga, genome, xla
 from fntg_jax.layout import expand, get_layout
 from fntg_jax.rollout import Outcome, rollout_pairs
-from fntg_jax.train import get_world
+from fntg_jax.runner import get_world
 
 MIX = (("open", 0.5), ("blocked", 0.5))
 CAPTURE = 0.145  # m, where the quadruped brings the ball to; the kinematic world learns with it
@@ -125,8 +125,8 @@ def judge(stage, controller, config: Config, worlds=("kinematic", "quadruped")) 
         for suite in ("open", "blocked"):
             world = get_world(name)
             options = {"capture": CAPTURE} if name == "kinematic" else {}
-            env = evaluate.environment_for(controller, world, **options)
-            result = evaluate.evaluate(controller, world, suite, config.eval_scenes, env=env)
+            env = evaluation.environment_for(controller, world, **options)
+            result = evaluation.evaluate(controller, world, suite, config.eval_scenes, env=env)
             r = result.rates
             shares = [r[part].share for part in ("reach", "safe", "stop")]
             rows.append(Row(stage, name, suite, config.eval_scenes, *r["success"], *shares))
@@ -139,13 +139,12 @@ def judge_full(stage, controller, config: Config) -> list[Row]:
     from envs.quadruped import native
 
     world = get_world("quadruped")
-    env = evaluate.environment_for(controller, world)
+    env = evaluation.environment_for(controller, world)
     params = expand(controller.layout, jnp.asarray(controller.theta, jnp.float32))
     control = jax.vmap(lambda seen: fntg.command(params, seen, env.limits, controller.output))
     rows = []
     for suite in ("open", "blocked"):
-        key = jax.random.fold_in(jax.random.key(0), 0x5CE4E)
-        scenes = world.suites[suite](key, config.full_scenes)
+        scenes = evaluation.held_out_scenes(world, suite, config.full_scenes)
         run = native.run(env, scenes, control, "full")
         steps = [169, 199, 219]
         parts = fitness.success(
@@ -158,7 +157,7 @@ def judge_full(stage, controller, config: Config) -> list[Row]:
                 failed=run.fallen[-1],
             )
         )
-        rate = evaluate.wilson(int(np.sum(parts.success)), config.full_scenes)
+        rate = evaluation.wilson(int(np.sum(parts.success)), config.full_scenes)
         shares = [float(np.mean(getattr(parts, p))) for p in ("reach", "safe", "stop")]
         rows.append(Row(stage, "full", suite, config.full_scenes, *rate, *shares))
         _say(rows[-1])
@@ -196,7 +195,7 @@ def run(config: Config) -> list[Row]:
         jax.random.key(config.seed), jnp.asarray(first.theta, jnp.float32), config.fine_population
     )
     best = evolve(
-        evaluate.environment_for(first, physics), physics, layout, start, settings,
+        evaluation.environment_for(first, physics), physics, layout, start, settings,
         config.fine_generations, config.fine_scenes, config.seed + 10, "physics",
     )  # fmt: skip
     tuned = export.from_bits(layout, np.asarray(best), limits=first.limits, output=first.output)

@@ -19,7 +19,12 @@ import tyro
 COMMANDS = {
     "train": "learn controllers and write a run folder",
     "evaluate": "success of a controller on suites of unseen scenes",
+    "rules": "the rule base in plain words, with how often each rule fires",
+    "replay": "watch trials: one HTML page, or an animated GIF or WebP",
+    "plot": "membership functions and control surfaces, PNG and PDF",
+    "report": "a run as one self-contained HTML page",
     "export": "write a run's or file's controller in another format",
+    "doctor": "versions, devices, cache and rendering, against what was tested",
 }
 
 
@@ -44,6 +49,9 @@ def main(argv: list[str] | None = None) -> None:
         importlib.import_module(f"fntg_jax.commands.{command}").main(rest)
     except ValueError as error:
         refuse(str(error))
+    except KeyboardInterrupt:
+        # Outside of evolution, which stops at the end of a chunk, there is nothing to save.
+        raise SystemExit(130) from None
     except BrokenPipeError:
         # The reader has gone (`fntg ... | head`); nothing is left to say to it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -51,7 +59,9 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def refuse(message: str) -> None:
-    print(f"fntg: error: {' '.join(message.split())}", file=sys.stderr)
+    # Names and values from outside are quoted in it: no line breaks, no terminal sequences.
+    line = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in " ".join(message.split()))
+    print(f"fntg: error: {line}", file=sys.stderr)
     raise SystemExit(2)
 
 
@@ -78,14 +88,15 @@ def parse(cls: type, argv: list[str], command: str, default: Any = None) -> Any:
 
 
 def load_controller(path: Path, seed: int | None = None) -> Any:
-    """A controller from a parameter file or a run folder."""
-    from fntg_jax import export
+    """A controller from a parameter file or a run folder, of which `seed` picks another than the
+    best."""
+    import fntg_jax
 
-    if seed is not None:
-        from fntg_jax import runfolder
+    if seed is None:
+        return fntg_jax.load(path)
+    from fntg_jax import runfolder
 
-        return runfolder.controller(runfolder.restore(path), seed)
-    return export.load(path / "params.json" if path.is_dir() else path)
+    return runfolder.controller(runfolder.restore(path), seed)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,11 @@
-"""Files that are either the old or the new version, never half of one."""
+"""Files that are either the old or the new version, never half of one, and JSON that is safe
+inside other languages."""
 
+import json
 import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 
 def write_atomically(path: str | Path, data: bytes) -> None:
@@ -22,3 +25,13 @@ def write_atomically(path: str | Path, data: bytes) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def inert_json(value: Any) -> str:
+    """One line of ASCII JSON that stays data inside HTML, and inside comments of C, Python and
+    FLL: the characters that could end a script block or a comment are escaped."""
+    text = json.dumps(value, allow_nan=False, separators=(",", ":"))
+    # Outside strings JSON has none of these, so escaping them everywhere keeps it JSON.
+    for character in "<>&/*#?":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return text

@@ -20,8 +20,17 @@ STOP = 0.03  # m/s, success: slower than this, averaged over steps 170, 200, 220
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class PaperWeights:
-    """Coefficients of the paper's F.  v_moved: the paper's "fixed minimal value" of v, m/s,
-    which it does not give."""
+    """Coefficients of the paper's F.
+
+    Attributes:
+        gamma: small positive constant.
+        distance: factor of the squared distance after step 200, 1/m.
+        v: weight of v_fit.
+        omega: weight of omega_fit.
+        clearance: factor of the squared lack of clearance, 1/m.
+        still: weight of phi, not having moved.
+        v_moved: the paper's "fixed minimal value" of v, m/s, which it does not give.
+    """
 
     gamma: float = 0.001
     distance: float = 6.0
@@ -75,3 +84,63 @@ def success(outcome: Outcome) -> Success:
         safe=(outcome.clearance >= CLEARANCE) & ~outcome.failed,
         stop=jnp.mean(jnp.abs(outcome.v), axis=-1) < STOP,
     )
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class SmoothWeights:
+    """Weights of `smooth_cost`.
+
+    Attributes:
+        near: scale of the logarithms of distance, m.
+        arrival: weight of the distance after step 170, which asks for haste.
+        stop: weight of the speed at the end.
+        still: scale of that speed, m/s.
+        gate: only within about this distance of the ball does stopping count, m.
+        margin: clearance that is asked for, m: more than the 0.145 m that count.
+        clearance: weight of falling short of it, per 0.1 m, at the end of learning.
+        clearance_start: the same at the beginning.
+        ramp: share of the generations over which the weight rises to its end value.
+    """
+
+    near: float = 0.05
+    arrival: float = 0.3
+    stop: float = 0.7
+    still: float = 0.015
+    gate: float = 0.15
+    margin: float = 0.165
+    clearance: float = 6.0
+    clearance_start: float = 2.5
+    ramp: float = 0.5
+
+
+def smooth_cost(
+    outcome: Outcome, weights: SmoothWeights = SmoothWeights(), progress: float | Array = 1.0
+) -> Float[Array, "..."]:
+    """Cost of each trial, >= 0, for learning on scenes that change: log-scaled and gated.
+
+    log(1 + (d/near)^2) + arrival log(1 + (d_1/near)^2)
+    + stop log(1 + (v_fit/still)^2) / (1 + (d/gate)^2) + W max(margin - h, 0) / 0.1 m,
+    with d, d_1 after steps 200, 170 and W rising geometrically with progress (0 .. 1).
+
+    The logarithms let no single lost scene outweigh the rest.  The gate is what makes it work:
+    where stopping always counts, standing still is a local optimum that populations do not
+    leave.  W starts low for the same reason: first learn to arrive, then to keep clear.
+    """
+    w = weights
+    d1, d = outcome.distance[..., 0], outcome.distance[..., 1]
+    v_fit = jnp.mean(jnp.abs(outcome.v), axis=-1)
+    short = jnp.maximum(w.margin - outcome.clearance, 0)
+    rise = jnp.minimum(progress / w.ramp, 1)
+    clearance = w.clearance_start * (w.clearance / w.clearance_start) ** rise
+    cost = jnp.log1p((d / w.near) ** 2) + w.arrival * jnp.log1p((d1 / w.near) ** 2)
+    cost += w.stop * jnp.log1p((v_fit / w.still) ** 2) / (1 + (d / w.gate) ** 2)
+    # A fall costs as much as any trial can.
+    return cost + clearance * short / 0.1 + jnp.where(outcome.failed, 30.0, 0.0)
+
+
+def smooth_fitness(
+    outcome: Outcome, weights: SmoothWeights = SmoothWeights(), progress: float | Array = 1.0
+) -> Float[Array, " P"]:
+    """10 / (0.1 + mean `smooth_cost` over the trials): of the paper's form, at most 100."""
+    return 10 / (0.1 + jnp.mean(smooth_cost(outcome, weights, progress), axis=-1))

@@ -92,7 +92,9 @@ def obstacle_side_shares(theta: Scalar, sigma: Any) -> tuple[Scalar, Scalar, Sca
     shares are then (0, 0, 1), "not influencing".
     """
     d1, d2, d3 = obstacle_side(theta, sigma)
-    d3 = d3 + 1e-16  # acts only where the sum would be 0; its square is still a float32
+    # A floor, not a summand: compilers reorder (1 - g) + 1e-16 into 0.  Acts only where the sum
+    # could be 0; the square of 1e-16 is still a float32.
+    d3 = jnp.maximum(d3, 1e-16)
     total = 1 / (d1 + d2 + d3)
     return d1 * total, d2 * total, d3 * total
 

@@ -16,7 +16,10 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from fntg_jax import genome
 
 Selection = Literal["roulette", "sus", "rank", "tournament", "truncation"]
-FitnessFn = Callable[[Key[Array, ""], Float[Array, "P genes"]], Float[Array, " P"]]
+# (key, theta, progress) -> fitness; progress is generation / horizon, for curricula.
+FitnessFn = Callable[
+    [Key[Array, ""], Float[Array, "P genes"], Float[Array, ""]], Float[Array, " P"]
+]
 
 
 def _static(default):
@@ -29,12 +32,23 @@ class GAConfig:
     """Settings; the defaults are the paper's (roulette wheel is our reading of "the candidate
     with higher value had the higher opportunity to reproduce").
 
-    population: even.  num_bits: a gene.  gray: Gray code instead of plain binary.
-    selection: roulette, sus (stochastic universal sampling), rank (linear), tournament,
-    truncation.  num_points: cuts of the crossover.  crossover_rate: share of pairs that are
-    crossed.  mutation_rate: flips a bit.  num_elites: best genomes copied unchanged.
-    rank_pressure: expected copies of the best under rank selection, 1 to 2.
-    truncation_share: share of the population that breeds under truncation.
+    Attributes:
+        population: genomes; even, and so within each island.
+        num_bits: bits a gene.
+        gray: Gray code instead of plain binary.
+        selection: roulette; sus: stochastic universal sampling; rank: linear; tournament;
+            truncation.
+        num_points: cuts of the crossover.
+        tournament_size: rivals of a tournament.
+        num_islands: the population is split into so many, which do not mix until `merge`.
+        crossover_rate: share of pairs that are crossed.
+        mutation_rate: probability to flip, a bit, at the start.
+        mutation_decay: the rate falls geometrically to this share of it at the horizon.
+        num_elites: best genomes copied unchanged (of each island while there are any).
+        rank_pressure: expected copies of the best under rank selection, 1 to 2.
+        truncation_share: share of the population that breeds under truncation.
+        merge: share of the horizon after which the islands become one population.
+        horizon: generations that decay and merge refer to; the runner sets it.
     """
 
     population: int = _static(60)
@@ -43,11 +57,15 @@ class GAConfig:
     selection: Selection = _static("roulette")
     num_points: int = _static(3)
     tournament_size: int = _static(2)
+    num_islands: int = _static(1)
     crossover_rate: float = 1.0
     mutation_rate: float = 0.001
+    mutation_decay: float = 1.0
     num_elites: int = 1
     rank_pressure: float = 1.8
     truncation_share: float = 0.5
+    merge: float = 0.5
+    horizon: float = 95.0
 
 
 def validate(config: GAConfig) -> None:
@@ -66,12 +84,19 @@ def validate(config: GAConfig) -> None:
     check("selection", ", ".join(SELECTIONS), lambda s: s in SELECTIONS)
     check("num_points", "0, 1, 2, ...", lambda n: n >= 0)
     check("tournament_size", "1 to the population", lambda n: 1 <= n <= config.population)
+    check(
+        "num_islands",
+        f"divisors of population = {config.population} that leave islands of even size",
+        lambda n: n >= 1 and config.population % (2 * n) == 0,
+    )
     check("crossover_rate", "0 to 1", share)
     check("mutation_rate", "0 to 1", share)
+    check("mutation_decay", "above 0, up to 1", lambda x: 0 < x <= 1)
+    check("merge", "0 to 1", share)
     check(
         "num_elites",
-        f"whole numbers from 0 to population - 1 = {config.population - 1}",
-        lambda n: n == int(n) and 0 <= n < config.population,
+        f"whole numbers from 0 to {config.population // max(config.num_islands, 1) - 1}",
+        lambda n: n == int(n) and 0 <= n < config.population // config.num_islands,
     )
     check("rank_pressure", "1 to 2", lambda x: 1 <= x <= 2)
     check("truncation_share", "above 0, up to 1", lambda x: 0 < x <= 1)
@@ -211,15 +236,36 @@ def init(key: Key[Array, ""], num_genes: int, config: GAConfig) -> State:
 
 
 def reproduce(
-    key: Key[Array, ""], bits: Bool[Array, "P L"], fitness: Float[Array, " P"], config: GAConfig
+    key: Key[Array, ""],
+    bits: Bool[Array, "P L"],
+    fitness: Float[Array, " P"],
+    config: GAConfig,
+    progress: float | Array = 0.0,
 ) -> Bool[Array, "P L"]:
-    """The next population: select, cross neighbours, mutate, put the elite in front."""
+    """The next population: select, cross neighbours, mutate, put the elite in front.
+
+    Before `merge` each island breeds by itself; afterwards selection sees all.
+    """
+    rate = config.mutation_rate * config.mutation_decay**progress
+    if config.num_islands == 1:
+        return _breed(key, bits, fitness, config, rate)
+    islands = (config.num_islands, -1)
+    apart = jax.vmap(lambda k, b, f: _breed(k, b, f, config, rate))(
+        jax.random.split(key, config.num_islands),
+        bits.reshape(*islands, bits.shape[-1]),
+        fitness.reshape(islands),
+    )
+    together = _breed(key, bits, fitness, config, rate)
+    return jnp.where(progress < config.merge, apart.reshape(bits.shape), together)
+
+
+def _breed(key, bits, fitness, config, rate):
     k_select, k_cross, k_mutate = jax.random.split(key, 3)
     size = bits.shape[0]
     parents = bits[SELECTIONS[config.selection](k_select, fitness, size, config)]
     cross = jax.vmap(lambda k, a, b: crossover(k, a, b, config.num_points, config.crossover_rate))
     pair = cross(jax.random.split(k_cross, size // 2), parents[: size // 2], parents[size // 2 :])
-    children = mutate(k_mutate, jnp.concatenate(pair), config.mutation_rate)
+    children = mutate(k_mutate, jnp.concatenate(pair), rate)
     by_rank = bits[jnp.argsort(-fitness)]
     return jnp.where(jnp.arange(size)[:, None] < config.num_elites, by_rank, children)
 
@@ -231,7 +277,8 @@ def generation(state: State, fitness_fn: FitnessFn, config: GAConfig) -> tuple[S
     """
     k_fitness, k_reproduce = jax.random.split(jax.random.fold_in(state.key, state.generation))
     theta = genome.decode(state.bits, config.num_bits, config.gray)
-    raw = fitness_fn(k_fitness, theta)
+    progress = state.generation / config.horizon
+    raw = fitness_fn(k_fitness, theta, progress)
     finite = jnp.isfinite(raw)
     fitness = jnp.where(finite, raw, 0)
     champion = jnp.argmax(jnp.where(finite, raw, -jnp.inf))
@@ -244,7 +291,7 @@ def generation(state: State, fitness_fn: FitnessFn, config: GAConfig) -> tuple[S
         best_bits=state.bits[champion],
     )
     new = State(
-        bits=reproduce(k_reproduce, state.bits, fitness, config),
+        bits=reproduce(k_reproduce, state.bits, fitness, config, progress),
         key=state.key,
         generation=state.generation + 1,
         best_bits=jnp.where(better, state.bits[champion], state.best_bits),

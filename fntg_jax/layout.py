@@ -118,6 +118,18 @@ def expand_scalars(layout: Layout, theta: Float[Array, " genes"]) -> Params:
     return Params(*(fill(shape) for shape in SHAPES))
 
 
+def rules(layout: Layout) -> list[tuple[int, ...]]:
+    """The rules as 0-based (i, j, k, l) in the printed order; (i, j, k) where the obstacle is
+    far (j = 1) and the layout drops its angle.  16 or 24."""
+    start = sum(int(np.prod(s)) for s in SHAPES[: Params._fields.index("V")])
+    gene = np.asarray(layout.index[start : start + 24]).reshape(2, 2, 2, 3)
+    found: list[tuple[int, ...]] = []
+    for i, j, k in np.ndindex(2, 2, 2):
+        merged = j == 1 and len(set(gene[i, j, k])) == 1
+        found += [(i, j, k)] if merged else [(i, j, k, side) for side in range(3)]
+    return found
+
+
 def get_layout(name: str) -> Layout:
     """The layout of that name.  Raises ValueError that lists the known ones."""
     if name not in LAYOUTS:
@@ -125,7 +137,7 @@ def get_layout(name: str) -> Layout:
     return LAYOUTS[name]
 
 
-def _mirror(l: int) -> int:  # noqa: E741  (the paper's index)
+def _mirror(l: int) -> int:
     """Left <-> right; "not influencing" stays."""
     return (1, 0, 2)[l]
 
@@ -178,7 +190,7 @@ def _build(
         ("V", "V", "v_max/5", 1),
         ("Omega", r"\Omega", "omega_max/5", -1),
     ):
-        for i, j, k, l in np.ndindex(2, 2, 2, 3):  # noqa: E741
+        for i, j, k, l in np.ndindex(2, 2, 2, 3):
             far = j == 1 and not far_sees_angle
             if far and l > 0:
                 slots[table, i, j, k, l] = slots[table, i, j, k, 0]

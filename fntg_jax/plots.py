@@ -18,7 +18,7 @@ BLUE, ORANGE, GREEN, RED, SKY, PURPLE = (
     "#CC79A7",
 )
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED)
-_RC: Any = {
+RC: Any = {
     "font.size": 10,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -36,15 +36,28 @@ def _new(width: float, height: float, rows: int = 1):
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    with plt.rc_context(_RC):
+    with plt.rc_context(RC):
         return plt.subplots(rows, 1, figsize=(width, height), layout="constrained", sharex=True)
 
 
-def _save(figure, path: str | Path) -> Path:
+def new_grid(rows: int, columns: int, width: float, height: float) -> tuple[Any, Any]:
+    """A figure (inches) and its panels [rows, columns], with no scales shared."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    with plt.rc_context(RC):
+        size = (width, height)
+        return plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
+
+
+def save(figure: Any, path: str | Path) -> Path:
+    """Write `path` as PNG and as PDF, close the figure, return the PNG's path."""
     import matplotlib.pyplot as plt
 
     path = Path(path)
-    with plt.rc_context(_RC):
+    with plt.rc_context(RC):
         figure.savefig(path.with_suffix(".pdf"), bbox_inches="tight")
         figure.savefig(path.with_suffix(".png"), bbox_inches="tight")
     plt.close(figure)
@@ -97,7 +110,7 @@ def fitness_curves(history: Any, path: str | Path) -> Path:
         axes.set_ylim(bottom=max(0.01, np.percentile(history.mean, 1)))
         axes.yaxis.set_major_formatter("{x:g}")
     axes.legend(loc="lower right")
-    return _save(figure, path)
+    return save(figure, path)
 
 
 def draw_field(axes, field: Any) -> None:
@@ -154,7 +167,7 @@ def trajectories(trials: Any, field: Any, path: str | Path, title: str = "") -> 
     for x, y in np.unique(balls[:, -1], axis=0):
         axes.plot(x, y, "*", color="black", markersize=11, zorder=5)
     axes.set_title(title, fontsize=9, loc="left")
-    return _save(figure, path)
+    return save(figure, path)
 
 
 def velocities(trial: Any, limits: Any, dt: float, path: str | Path, title: str = "") -> Path:
@@ -178,4 +191,4 @@ def velocities(trial: Any, limits: Any, dt: float, path: str | Path, title: str 
         axes.set_ylabel(label)
     top.set_title(f"{title}\ndashed: limits".strip(), fontsize=9, loc="left")
     bottom.set_xlabel("time (s)")
-    return _save(figure, path)
+    return save(figure, path)

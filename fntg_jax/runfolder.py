@@ -7,8 +7,10 @@ environment.json, checkpoint.npz, fig5.png and .pdf.  Every file is written atom
 import dataclasses
 import io
 import json
+import math
 import platform
 import subprocess
+import zipfile
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,7 @@ import numpy as np
 import fntg_jax
 from fntg_jax import export, fitness, fntg, ga, plots
 from fntg_jax.files import write_atomically
-from fntg_jax.train import History, Run, TrainConfig, decode_history, validate
+from fntg_jax.runner import History, Run, TrainConfig, decode_history, validate
 
 _PACKAGES = ("fntg-jax", "jax", "jaxlib", "numpy", "optax", "mujoco", "mujoco-mjx", "brax")
 
@@ -44,11 +46,19 @@ def load_config(folder: Path) -> TrainConfig:
         raise ValueError(f"{folder}: not a run folder (no readable config.json)") from None
     except ValueError as error:
         raise ValueError(f"{path}: not JSON ({error})") from None
+    except RecursionError:
+        raise ValueError(f"{path}: not a configuration: nested too deeply") from None
     try:
-        config = _from_dict(TrainConfig, data)
-        validate(config)
+        return config_from_dict(data)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from None
+
+
+def config_from_dict(data: Any) -> TrainConfig:
+    """A checked configuration from plain values.  Raises ValueError: field, value, what is
+    allowed."""
+    config = _from_dict(TrainConfig, data)
+    validate(config)
     return config
 
 
@@ -59,7 +69,11 @@ def _from_dict(cls: type, data: Any) -> Any:
     unknown = sorted(set(data) - set(fields))
     if unknown:
         raise ValueError(f"{unknown[0]!r}: unknown; known are {', '.join(fields)}")
-    nested = {"ga": ga.GAConfig, "fitness": fitness.PaperWeights}
+    nested = {
+        "ga": ga.GAConfig,
+        "fitness": fitness.PaperWeights,
+        "smooth": fitness.SmoothWeights,
+    }
     values = {}
     for name, value in data.items():
         default = getattr(cls(), name)
@@ -148,6 +162,35 @@ def controller(run: Run, seed: int | None = None) -> export.Controller:
             "fntg_jax": fntg_jax.__version__,
             "jax": jax.__version__,
         },
+    )
+
+
+def controller_of_generation(folder: Path, generation: int) -> export.Controller:
+    """The best controller of one generation (from 1), of the seed that params.json comes from.
+    Raises ValueError (one line) where the folder does not hold it."""
+    controller = export.load(folder / "params.json")
+    config = load_config(folder)
+    path = folder / "history.npz"
+    seed = controller.provenance.get("seed", config.first_seed)
+    index = seed - config.first_seed if isinstance(seed, int) else -1
+    shape = (config.seeds, config.generations, controller.layout.num_genes)
+    if not 1 <= generation <= config.generations:
+        raise ValueError(f"generation = {generation}: the run has 1 to {config.generations}")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = archive.getinfo("best_theta.npy").file_size
+        if size > 4 * math.prod(shape) + 1000 or not 0 <= index < config.seeds:
+            raise ValueError("another shape than config.json says")
+        with np.load(path, allow_pickle=False) as file:
+            theta = file["best_theta"].astype(np.float64)
+        if theta.shape != shape or not np.all(np.abs(theta[index, generation - 1]) <= 5):
+            raise ValueError("another shape or range than config.json says")
+    except Exception as error:  # a damaged archive raises almost anything
+        why = getattr(error, "strerror", None) or error
+        raise ValueError(f"{path}: not the history of this run ({why})") from None
+    provenance = {**controller.provenance, "generations": generation, "fitness": None}
+    return dataclasses.replace(
+        controller, theta=theta[index, generation - 1], bits=None, provenance=provenance
     )
 
 

@@ -35,17 +35,17 @@ class EvaluateOptions:
 def main(argv: list[str]) -> None:
     options = parse(EvaluateOptions, argv, "evaluate")
     xla.configure()
-    from fntg_jax import evaluate, train
+    from fntg_jax import evaluation, runner
 
     controller = load_controller(options.controller)
-    world = train.get_world(options.env)
+    world = runner.get_world(options.env)
     if options.suite != "all" and options.suite not in world.suites:
         raise ValueError(f"suite = {options.suite!r}: known are all, {', '.join(world.suites)}")
-    env = evaluate.environment_for(controller, world, **options.env_options)
+    env = evaluation.environment_for(controller, world, **options.env_options)
     # The learning set-up of the paper is no test; it is there by name.
     names = [n for n in world.suites if n != "paper"] if options.suite == "all" else [options.suite]
     results = [
-        evaluate.evaluate(controller, world, name, options.scenes, options.seed, env)
+        evaluation.evaluate(controller, world, name, options.scenes, options.seed, env)
         for name in names
     ]
     if options.json:
@@ -55,7 +55,7 @@ def main(argv: list[str]) -> None:
         }
         print(json.dumps(document, indent=1, allow_nan=False))
         return
-    print(f"{'suite':18s}{'scenes':>7s}" + "".join(f"{p:>25s}" for p in evaluate.PARTS))
+    print(f"{'suite':18s}{'scenes':>7s}" + "".join(f"{p:>25s}" for p in evaluation.PARTS))
     for r in results:
         cells = "".join(
             f"{f'{100 * x.share:.1f} % ({100 * x.low:.1f}-{100 * x.high:.1f})':>25s}"

@@ -32,12 +32,12 @@ class TrainOptions:
 
 
 def main(argv: list[str]) -> None:
-    from fntg_jax import train
+    from fntg_jax import runner
 
-    preset = _preset(argv, list(train.PRESETS))
+    preset = _preset(argv, list(runner.PRESETS))
     options_type = dataclasses.make_dataclass(
         "TrainOptions",
-        [("config", Annotated[train.TrainConfig, tyro.conf.arg(name="")])]
+        [("config", Annotated[runner.TrainConfig, tyro.conf.arg(name="")])]
         + [
             (f.name, f.type, dataclasses.field(default=f.default))
             for f in dataclasses.fields(TrainOptions)[1:]
@@ -45,10 +45,12 @@ def main(argv: list[str]) -> None:
         frozen=True,
     )
     options_type.__doc__ = TrainOptions.__doc__
-    options = parse(options_type, argv, "train", options_type(train.PRESETS[preset], preset=preset))
+    options = parse(
+        options_type, argv, "train", options_type(runner.PRESETS[preset], preset=preset)
+    )
     resume = options.resume
     if resume is not None:
-        if len(argv) > 2 or options.out is not None:
+        if len(argv) > (1 if "=" in argv[0] else 2):
             raise ValueError("--resume takes the run folder and no other option")
         from fntg_jax import runfolder
 
@@ -56,7 +58,7 @@ def main(argv: list[str]) -> None:
         folder = resume
     else:
         config = options.config
-        train.validate(config)
+        runner.validate(config)
         stamp = time.strftime("%Y%m%d-%H%M%S")
         folder = options.out or Path("runs") / f"{preset}-{stamp}"
     xla.configure(num_cpu_devices=min(config.seeds, os.cpu_count() or 1))
@@ -135,7 +137,7 @@ _STOP = (signal.SIGINT, signal.SIGTERM)
 
 @contextlib.contextmanager
 def _progress_bar(run: Any):
-    """A callable that shows a `train.Progress`: a bar on a terminal, ten lines otherwise."""
+    """A callable that shows a `runner.Progress`: a bar on a terminal, ten lines otherwise."""
     total = run.config.generations
     if not sys.stderr.isatty():
         shown = [run.generation * 10 // total]

@@ -4,11 +4,14 @@ import dataclasses
 from functools import cached_property
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from fntg_jax import fntg, genome
 from fntg_jax.layout import SHAPES, Layout, Params
+
+_command = jax.jit(fntg.command, static_argnames="output")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,11 +40,14 @@ class Controller:
         parts = np.split(slots, np.cumsum([int(np.prod(s)) for s in SHAPES])[:-1])
         return Params(*(p.reshape(s) for p, s in zip(parts, SHAPES)))
 
+    @cached_property
+    def _float32(self) -> Params:
+        return Params(*(jnp.asarray(x, jnp.float32) for x in self.params))
+
     def __call__(self, d_ball, d_obstacle, theta_ball, theta_obstacle):
         inputs = np.broadcast_arrays(d_ball, d_obstacle, theta_ball, theta_obstacle)
-        observation = fntg.Observation(*(jnp.asarray(x, jnp.float32) for x in inputs))
-        params = Params(*(jnp.asarray(x, jnp.float32) for x in self.params))
-        v, omega = fntg.command(params, observation, self.limits, self.output)
+        observation = fntg.Observation(*(np.asarray(x, np.float32) for x in inputs))
+        v, omega = _command(self._float32, observation, self.limits, self.output)
         if inputs[0].ndim == 0:
             return float(v), float(omega)
         return np.asarray(v), np.asarray(omega)

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from importlib import metadata
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,9 +20,9 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
 from fntg_jax import fitness, fntg, ga, genome
-from fntg_jax.fitness import PaperWeights
+from fntg_jax.fitness import PaperWeights, SmoothWeights
 from fntg_jax.ga import GAConfig
-from fntg_jax.layout import get_layout
+from fntg_jax.layout import Layout, get_layout
 from fntg_jax.rollout import rollout_pairs
 
 WORLDS = "fntg_jax.worlds"  # entry point group
@@ -38,13 +38,19 @@ class TrainConfig:
         layout: gene table: paper-31, three-sigma-31, two-sigma-31, mirror-28, reduced-47,
             full-63.
         output: "scale": a gene of 5 is full speed; "clip": genes are m/s and rad/s.
-        suite: training scenes.
+        suite: training scenes: a suite, or several with their shares, open:2,blocked:3.
         num_scenes: trials of a genome; their average counts.
+        scene_pool: 0: the same scenes in every generation; else as many scenes are drawn and
+            every generation takes num_scenes of them at random.
+        objective: "paper": the paper's fitness; "smooth": log-scaled and gated.
         seeds: number of independent runs.
         first_seed: seed of the first; the others follow.
         generations: populations evaluated.
         ga: genetic algorithm.
+        refine_steps: gradient steps after evolution; 0 for none.
+        refine_top: individuals of a seed that are refined; the best validated one is kept.
         fitness: weights of the paper's fitness.
+        smooth: weights of the smooth objective.
     """
 
     env: str = "kinematic"
@@ -53,34 +59,106 @@ class TrainConfig:
     output: fntg.Output = "scale"
     suite: str = "paper"
     num_scenes: int = 4
+    scene_pool: int = 0
+    objective: Literal["paper", "smooth"] = "paper"
     seeds: int = 1
     first_seed: int = 0
     generations: int = 95
     ga: GAConfig = GAConfig()
+    refine_steps: int = 0
+    refine_top: int = 4
     fitness: PaperWeights = PaperWeights()
+    smooth: SmoothWeights = SmoothWeights()
 
 
-PRESETS = {"paper": TrainConfig()}
+PRESETS = {
+    # Faithful to the paper, Section "Genetic learning".
+    "paper": TrainConfig(),
+    # Holds on scenes never seen in training; experiments/generalization.py compares the two.
+    "robust": TrainConfig(
+        suite="open:2,blocked:3",
+        num_scenes=48,
+        scene_pool=16384,
+        objective="smooth",
+        generations=600,
+        ga=GAConfig(
+            population=256,
+            gray=True,
+            selection="tournament",
+            tournament_size=4,
+            num_islands=4,
+            merge=0.4,
+            mutation_rate=0.02,
+            mutation_decay=0.15,
+            crossover_rate=0.9,
+            num_elites=2,
+        ),
+        refine_steps=0,
+    ),
+}
 
 
 def validate(config: TrainConfig) -> None:
     """Check a configuration at the edge.  Raises ValueError: field, value, what is allowed."""
-    for name, least in (("seeds", 1), ("generations", 1), ("num_scenes", 1), ("first_seed", 0)):
+    for name, least in (
+        ("seeds", 1),
+        ("generations", 1),
+        ("num_scenes", 1),
+        ("first_seed", 0),
+        ("scene_pool", 0),
+        ("refine_steps", 0),
+        ("refine_top", 1),
+    ):
         value = getattr(config, name)
         if value < least:
             raise ValueError(f"{name} = {value}: allowed are whole numbers from {least}")
     get_layout(config.layout)
     fntg.output_gains(fntg.Limits(), config.output)
     ga.validate(config.ga)
-    for name, value in dataclasses.asdict(config.fitness).items():
-        if not (np.isfinite(value) and value >= 0):
-            raise ValueError(f"fitness.{name} = {value}: allowed are finite numbers from 0")
-    if config.fitness.gamma <= 0:
-        raise ValueError(f"fitness.gamma = {config.fitness.gamma}: allowed are numbers above 0")
+    if 0 < config.scene_pool < config.num_scenes:
+        raise ValueError(
+            f"scene_pool = {config.scene_pool}: allowed are 0 and numbers from num_scenes = "
+            f"{config.num_scenes}"
+        )
+    if config.refine_top > config.ga.population:
+        raise ValueError(
+            f"refine_top = {config.refine_top}: allowed are 1 to the population, "
+            f"{config.ga.population}"
+        )
+    if config.objective not in OBJECTIVES:
+        raise ValueError(f"objective = {config.objective!r}: allowed are {', '.join(OBJECTIVES)}")
+    positive = ("gamma", "near", "still", "gate", "clearance_start", "ramp")
+    for group in ("fitness", "smooth"):
+        for name, value in dataclasses.asdict(getattr(config, group)).items():
+            if not (np.isfinite(value) and value >= 0):
+                raise ValueError(f"{group}.{name} = {value}: allowed are finite numbers from 0")
+            if value == 0 and name in positive and (group, name) != ("fitness", "still"):
+                raise ValueError(f"{group}.{name} = {value}: allowed are numbers above 0")
     world = get_world(config.env)
-    if config.suite not in world.suites:
-        raise ValueError(f"suite = {config.suite!r}: known are {', '.join(world.suites)}")
+    get_suite(world, config.suite)
     world.make(**config.env_options)
+
+
+OBJECTIVES = ("paper", "smooth")
+
+
+def get_suite(world: Any, suite: str) -> Callable[..., Any]:
+    """(key, num_scenes) -> scenes, for one suite or a mix "open:2,blocked:3".
+
+    Raises ValueError naming the unknown suite or the unusable share.
+    """
+    if ":" not in suite:
+        if suite not in world.suites:
+            raise ValueError(f"suite = {suite!r}: known are {', '.join(world.suites)}")
+        return world.suites[suite]
+    shares = []
+    for part in suite.split(","):
+        name, _, share = part.partition(":")
+        try:
+            shares.append((name, float(share)))
+        except ValueError:
+            raise ValueError(f"suite = {suite!r}: {part!r} is not NAME:SHARE") from None
+    return world.mix(tuple(shares))
 
 
 def get_world(name: str) -> Any:
@@ -116,6 +194,9 @@ class Progress(NamedTuple):
     control_steps: int
 
 
+_POOL_KEY = 0x9001  # of the training scenes; evaluation draws from other keys
+
+
 class Run:
     """Learning runs of one configuration: `compile`, then `advance` until `done`.
 
@@ -129,6 +210,10 @@ class Run:
         self.world = get_world(config.env)
         self.layout = get_layout(config.layout)
         self.env = self.world.make(**config.env_options)
+        # All seeds share the pool, so that a seed's result does not depend on its company.
+        self.scenes = get_suite(self.world, config.suite)(
+            jax.random.key(_POOL_KEY), config.scene_pool or config.num_scenes
+        )
         self.chunk = chunk_length(config.generations)
         devices = jax.local_devices()[: config.seeds]
         self.mesh = Mesh(np.asarray(devices), ("seed",))
@@ -139,6 +224,15 @@ class Run:
             lambda s: ga.init(jax.random.key(s), self.layout.num_genes, config.ga)
         )(jnp.asarray(seeds, jnp.uint32))
         self.records: list[History] = []
+
+    def config_static(self) -> "Static":
+        c = self.config
+        return Static(self.layout, c.output, c.objective, c.num_scenes, c.scene_pool > 0)
+
+    def traced(self) -> "Traced":
+        c = self.config
+        horizon = dataclasses.replace(c.ga, horizon=float(c.generations))
+        return Traced(horizon, self.env, c.fitness, c.smooth, self.scenes)
 
     def _padded_seeds(self) -> int:
         # Every device gets as many; the surplus is computed and dropped.
@@ -164,22 +258,15 @@ class Run:
         start = time.perf_counter()
         sharding = NamedSharding(self.mesh, P("seed"))
         self.state = jax.device_put(self.state, sharding)
-        suite = self.world.suites[self.config.suite]
         advance = jax.jit(
             partial(
                 _advance,
                 mesh=self.mesh,
                 num_generations=self.chunk,
-                make_fitness=partial(
-                    _make_fitness,
-                    layout=self.layout,
-                    output=self.config.output,
-                    suite=suite,
-                    num_scenes=self.config.num_scenes,
-                ),
+                make_fitness=partial(_make_fitness, self.config_static()),
             )
         )
-        traced = (self.config.ga, self.env, self.config.fitness)
+        traced = self.traced()
         compiled = advance.lower(self.state, traced).compile()
         self._advance = lambda state: compiled(state, traced)
         self.compile_seconds += time.perf_counter() - start
@@ -291,13 +378,48 @@ def chunk_length(generations: int) -> int:
     return max(n for n in range(1, 11) if generations % n == 0)
 
 
-def _make_fitness(traced, *, layout, output, suite, num_scenes) -> ga.FitnessFn:
-    _, env, weights = traced
+class Static(NamedTuple):
+    """What a program is compiled for, besides the shapes."""
 
-    def fitness_fn(key, theta):
-        scenes = suite(key, num_scenes)
-        outcome = rollout_pairs(layout, theta, scenes, env, output=output)
-        return fitness.paper_fitness(outcome, weights)
+    layout: Layout
+    output: fntg.Output
+    objective: str
+    num_scenes: int
+    fresh: bool
+
+
+class Traced(NamedTuple):
+    """What may change without compiling again."""
+
+    ga: GAConfig
+    env: Any
+    fitness: PaperWeights
+    smooth: SmoothWeights
+    scenes: Any
+
+
+def score(static: Static, traced: Traced, theta, scenes, progress=1.0, **options):
+    """Fitness [P] of theta [P, genes] on scenes; options: those of `rollout.rollout`."""
+    outcome = rollout_pairs(
+        static.layout, theta, scenes, traced.env, output=static.output, **options
+    )
+    if static.objective == "paper":
+        return fitness.paper_fitness(outcome, traced.fitness)
+    return fitness.smooth_fitness(outcome, traced.smooth, progress)
+
+
+def draw_scenes(static: Static, traced: Traced, key):
+    """A generation's scenes: all, or num_scenes of the pool at random."""
+    if not static.fresh:
+        return traced.scenes
+    size = jax.tree.leaves(traced.scenes)[0].shape[0]
+    pick = jax.random.randint(key, (static.num_scenes,), 0, size)
+    return jax.tree.map(lambda x: x[pick], traced.scenes)
+
+
+def _make_fitness(static: Static, traced: Traced) -> ga.FitnessFn:
+    def fitness_fn(key, theta, progress):
+        return score(static, traced, theta, draw_scenes(static, traced, key), progress)
 
     return fitness_fn
 
@@ -306,16 +428,20 @@ def _advance(state, traced, *, mesh, num_generations, make_fitness):
     """A chunk of generations for every seed; state leaves [S, ...], records [S, n, ...]."""
 
     def one_seed(seed_state):
-        config = traced[0]
-        return ga.evolve(seed_state, num_generations, make_fitness(traced), config)
+        return ga.evolve(seed_state, num_generations, make_fitness(traced), traced.ga)
 
+    return _over_seeds(one_seed, mesh)(state)
+
+
+def _over_seeds(fn, mesh):
+    """fn mapped over the leading axis: spread over devices, one after the other on each."""
     return jax.shard_map(
-        lambda s: jax.lax.map(one_seed, s),
+        lambda *xs: jax.lax.map(lambda x: fn(*x), xs),
         mesh=mesh,
         in_specs=P("seed"),
         out_specs=P("seed"),
         check_vma=False,
-    )(state)
+    )
 
 
 def train(

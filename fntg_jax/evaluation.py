@@ -53,20 +53,28 @@ def evaluate(
     env: the world's environment, default `world.make` at the controller's own limits and
     control step.  The suites are held out: training draws from other keys.
     """
-    if num_scenes < 1:
-        raise ValueError(f"scenes = {num_scenes}: allowed are whole numbers from 1")
-    if suite not in world.suites:
-        raise ValueError(f"suite = {suite!r}: known are {', '.join(world.suites)}")
     env = environment_for(controller, world) if env is None else env
-    # Training seeds are folded from small whole numbers; this constant keeps the suites apart.
-    key = jax.random.fold_in(jax.random.key(seed), 0x5CE4E)
-    scenes = world.suites[suite](key, num_scenes)
+    scenes = held_out_scenes(world, suite, num_scenes, seed)
     run = jax.jit(partial(rollout_pairs, controller.layout, output=controller.output))
     outcome = run(jnp.asarray(controller.theta, jnp.float32)[None], scenes, env)
     outcome = jax.tree.map(lambda x: np.asarray(x[0]), outcome)
     parts = fitness.success(outcome)
     rates = {name: wilson(int(np.sum(getattr(parts, name))), num_scenes) for name in PARTS}
     return Evaluation(suite, num_scenes, rates, scenes, outcome, np.asarray(parts.success))
+
+
+def held_out_scenes(world: Any, suite: str, num_scenes: int, seed: int = 0) -> Any:
+    """`num_scenes` scenes of a suite; asking for more leaves the first ones as they are.
+    Raises ValueError on an unknown suite or fewer than one scene."""
+    if num_scenes < 1:
+        raise ValueError(f"scenes = {num_scenes}: allowed are whole numbers from 1")
+    if suite not in world.suites:
+        raise ValueError(f"suite = {suite!r}: known are {', '.join(world.suites)}")
+    if not 0 <= seed < 2**32:
+        raise ValueError(f"seed = {seed}: allowed are whole numbers from 0 below 2^32")
+    # Training seeds are folded from small whole numbers; this constant keeps the suites apart.
+    key = jax.random.fold_in(jax.random.key(seed), 0x5CE4E)
+    return world.suites[suite](key, num_scenes)
 
 
 def environment_for(controller: Controller, world: Any, **options: float) -> Any:

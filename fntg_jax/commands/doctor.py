@@ -1,0 +1,101 @@
+"""`fntg doctor`: what is installed, and whether it is what was tested."""
+
+import dataclasses
+import os
+import platform
+from importlib import metadata
+
+from fntg_jax import xla
+from fntg_jax.cli import parse
+
+
+@dataclasses.dataclass(frozen=True)
+class DoctorOptions:
+    """Versions against the ranges that fntg-jax declares, devices, compilation cache, rendering
+    back end.  Exit status 1 when a package is missing or outside its range, else 0."""
+
+
+def main(argv: list[str]) -> None:
+    parse(DoctorOptions, argv, "doctor")
+    xla.configure()
+    healthy = True
+    print(f"fntg-jax {metadata.version('fntg-jax')}, Python {platform.python_version()}")
+    print(f"{platform.system()} {platform.machine()}, {os.cpu_count()} CPUs\n")
+    print(f"{'package':18s}{'installed':14s}{'tested':22s}")
+    for name, tested, installed, optional in packages():
+        fits = installed is not None and tested.contains(installed, prereleases=True)
+        verdict = "ok" if fits else "OUTSIDE the tested range" if installed else "not installed"
+        if installed is None and optional:
+            verdict = f"not installed (optional: {optional})"
+        healthy &= fits or (installed is None and bool(optional))
+        print(f"{name:18s}{installed or '-':14s}{str(tested) or 'any':22s}{verdict}")
+    print()
+    for line in (*_devices(), _cache(), *_rendering(), *_deadlock()):
+        print(line)
+    raise SystemExit(0 if healthy else 1)
+
+
+def packages() -> list[tuple]:
+    """(name, tested range, installed version or None, extra or "") of all that fntg-jax requires,
+    from its own package metadata; tools for its development are left out."""
+    from packaging.requirements import Requirement
+
+    found = []
+    for text in metadata.requires("fntg-jax") or []:
+        requirement = Requirement(text)
+        extra = str(requirement.marker).partition('extra == "')[2].partition('"')[0]
+        if extra == "dev":
+            continue
+        try:
+            installed = metadata.version(requirement.name)
+        except metadata.PackageNotFoundError:
+            installed = None
+        found.append((requirement.name, requirement.specifier, installed, extra))
+    return found
+
+
+def _devices() -> list[str]:
+    import jax
+
+    try:
+        return [f"device: {d.platform} {d.device_kind}" for d in jax.devices()]
+    except RuntimeError as error:
+        return [f"device: none usable ({' '.join(str(error).split())})"]
+
+
+def _cache() -> str:
+    if os.environ.get("FNTG_CACHE") == "off":
+        return "compilation cache: off (FNTG_CACHE)"
+    folder = os.environ.get("JAX_COMPILATION_CACHE_DIR") or xla.cache_dir()
+    return f"compilation cache: {folder or 'none (no private folder can be made)'}"
+
+
+def _has(package: str) -> bool:
+    try:
+        metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def _rendering() -> list[str]:
+    if not _has("mujoco"):
+        return ["rendering: MuJoCo is not installed; HTML, GIF and WebP replays do without it"]
+    backend = os.environ.get("MUJOCO_GL")
+    if backend:
+        return [f"rendering: MUJOCO_GL={backend}"]
+    if platform.system() == "Linux" and not os.environ.get("DISPLAY"):
+        return ["rendering: no display; set MUJOCO_GL=egl (or osmesa) to draw with MuJoCo"]
+    return ["rendering: MuJoCo's default for this display"]
+
+
+def _deadlock() -> list[str]:
+    import jax
+
+    few = jax.default_backend() == "cpu" and (os.cpu_count() or 1) <= 2
+    if not (few and _has("mujoco-mjx")) or os.environ.get("NPROC") == "1":
+        return []
+    return [
+        "note: on a CPU with 2 cores jaxlib can hang for ever at 0 % CPU when MuJoCo's default "
+        "integrator settings run in batches; NPROC=1 in the environment avoids it"
+    ]

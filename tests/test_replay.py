@@ -1,0 +1,161 @@
+"""Replay: what is shown is what was rolled out, and the page holds whatever it is told."""
+
+import io
+import json
+import re
+import shutil
+import subprocess
+
+import jax
+import numpy as np
+import pytest
+from PIL import Image
+
+from fntg_jax import cli, evaluation, replay, runfolder, runner
+from fntg_jax.fitness import success
+from fntg_jax.ga import GAConfig
+from tests.controllers import random_controller
+
+WORLD = runner.get_world("kinematic")
+HOSTILE = "</script><script>alert(1)</script><b title='x'>&amp;\u2028 @DATA@"
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+@pytest.fixture(scope="module")
+def panels():
+    controller = random_controller(seed=3)
+    return replay.record(HOSTILE, controller, WORLD, "moving-obstacles", (0, 2))
+
+
+def data_of(page):
+    text = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.S)[1]
+    return json.loads(text)
+
+
+def test_panels_are_the_trials_that_evaluate_judges(panels):
+    controller = random_controller(seed=3)
+    judged = evaluation.evaluate(controller, WORLD, "moving-obstacles", 3)
+    for panel, n in zip(panels, (0, 2)):
+        start = np.asarray(judged.scenes.start[n])
+        np.testing.assert_allclose(panel["robot"][0][:2], start[:2], atol=1e-3)
+        outcome = jax.tree.map(lambda x, n=n: x[n], judged.outcome)
+        assert panel["result"].startswith("success" if judged.success[n] else "no success")
+        assert f"{float(outcome.distance[1]):.2f} m at step 200" in panel["result"]
+        distance = np.hypot(*np.subtract(panel["robot"][200][:2], panel["ball"][-1][:2]))
+        assert distance == pytest.approx(float(outcome.distance[1]), abs=2e-3)
+        assert bool(success(outcome).reach) == ("ball reached" in panel["result"])
+
+
+def test_lengths_and_percentages(panels):
+    for panel in panels:
+        assert len(panel["robot"]) == 221
+        assert len(panel["ball"]) == 1  # it lies still
+        assert len(panel["obstacles"]) == 221  # they walk
+        for group in panel["bars"]:
+            total = np.sum([row["values"] for row in group["rows"]], axis=0)
+            assert np.all(np.abs(total - 100) <= len(group["rows"]))
+        assert all(len(s["values"]) in (1, 220) for s in panel["signals"])
+
+
+def test_page_is_self_contained_and_inert(panels):
+    page = replay.page(panels, HOSTILE)
+    assert data_of(page) == {"panels": panels}
+    assert "alert(1)</script>" not in page
+    assert page.count("<script") == 2
+    assert "default-src 'none'" in page
+    assert not re.search(r"(src|href)=|https?://|url\(", page)
+    assert len(page.encode()) < 200_000
+
+
+def test_a_page_over_the_limit_is_refused(panels):
+    with pytest.raises(ValueError, match="allowed 1000000"):
+        replay.page(panels * 20, "many")
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+def test_page_runs_in_a_browser(panels, tmp_path):
+    (tmp_path / "page.html").write_text(replay.page(panels, HOSTILE))
+    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run"]
+    flags += ["--disable-background-networking", f"--user-data-dir={tmp_path / 'profile'}"]
+    url = f"{(tmp_path / 'page.html').as_uri()}#t=5"
+    done = subprocess.run(
+        [CHROMIUM, *flags, "--dump-dom", url], capture_output=True, text=True, timeout=120
+    )
+    text = done.stdout
+    assert '<span id="time">5.0 s</span>' in text
+    assert text.count("<section>") == 2
+    assert "<h2>&lt;/script&gt;&lt;script&gt;alert(1)" in text
+    speed = panels[0]["signals"][0]["values"]
+    assert f"<dd>{speed[min(50, len(speed) - 1)]:.2f} m/s</dd>" in text
+
+
+@pytest.mark.parametrize("image_format", ["GIF", "WEBP"])
+def test_animation(panels, image_format):
+    short = [{**p, "robot": p["robot"][:9], "obstacles": p["obstacles"][:9]} for p in panels]
+    image = Image.open(io.BytesIO(replay.animation(short, image_format)))
+    assert (image.format, image.n_frames) == (image_format, 5)
+    first = np.asarray(image.convert("RGB"), int)
+    image.seek(4)
+    assert np.abs(np.asarray(image.convert("RGB"), int) - first).max() > 50  # something moved
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run") / "run"
+    config = runner.TrainConfig(seeds=2, generations=2, first_seed=5, ga=GAConfig(population=8))
+    runfolder.create(folder, config)
+    run = runner.train(config)
+    runfolder.finish(folder, run)
+    return folder, run
+
+
+def test_controllers_of_generations(run_folder):
+    folder, run = run_folder
+    best = runfolder.controller(run)
+    index = best.provenance["seed"] - 5
+    theta = runner.decode_history(run.history(), run.config)
+    for generation in (1, 2):
+        found = runfolder.controller_of_generation(folder, generation)
+        np.testing.assert_array_equal(found.theta, theta[index, generation - 1].astype(float))
+    with pytest.raises(ValueError, match="generation = 3: the run has 1 to 2"):
+        runfolder.controller_of_generation(folder, 3)
+
+
+def test_replay_command(run_folder, tmp_path, capsys):
+    folder, _ = run_folder
+    out = tmp_path / "replay.html"
+    cli.main(["replay", str(folder), "--generations", "1", "2", "--scene", "1", "--out", str(out)])
+    assert capsys.readouterr().out == f"{out}\n"
+    titles = [p["title"] for p in data_of(out.read_text())["panels"]]
+    assert titles == ["run, generation 1", "run, generation 2"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--out", "x.mp4"], "out = x.mp4: allowed are"),
+        (["--scene", "-1"], "scene = [-1]: allowed are"),
+        (["--scene", *"0123456789" * 3], "30 trials: allowed are up to 24"),
+        (["--generations", "7"], "generation = 7: the run has 1 to 2"),
+        (["--suite", "no"], "suite = 'no': known are"),
+    ],
+)
+def test_bad_input_is_one_line(run_folder, capsys, arguments, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["replay", str(run_folder[0]), *arguments])
+    assert stop.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"fntg: error: {message}")
+    assert said.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 not a zip", None])
+def test_damaged_history_is_one_line(run_folder, tmp_path, damage):
+    folder = tmp_path / "copy"
+    shutil.copytree(run_folder[0], folder)
+    path = folder / "history.npz"
+    path.write_bytes(path.read_bytes()[:-40] if damage is None else damage)
+    with pytest.raises(ValueError, match=r"history\.npz: not the history of this run"):
+        runfolder.controller_of_generation(folder, 1)

@@ -1,0 +1,68 @@
+"""The report of a run: complete, self-contained, inert."""
+
+import base64
+import re
+import shutil
+
+import pytest
+
+from fntg_jax import cli, export, runfolder, runner
+from fntg_jax.ga import GAConfig
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report") / "<b>run & @BODY@"
+    config = runner.TrainConfig(seeds=2, generations=2, ga=GAConfig(population=8))
+    runfolder.create(folder, config)
+    run = runner.train(config)
+    runfolder.save_checkpoint(folder, run)
+    runfolder.finish(folder, run)
+    return folder
+
+
+def test_report(run_folder, capsys):
+    cli.main(["report", str(run_folder), "--scenes", "20"])
+    out = run_folder / "report.html"
+    assert capsys.readouterr().out == f"{out}\n"
+    page = out.read_text()
+    assert page.count("<img alt=") == 4
+    assert "<h1>Learning run &lt;b&gt;run &amp; @BODY@</h1>" in page
+    assert page.count("<td>IF the ball is") + page.count("<td>") > 16
+    assert page.count("IF the ball is") == 16
+    assert all(f"<th>{s}<td>" in page for s in ("open", "blocked", "moving-ball"))
+    assert "<th>ga.population<td>8" in page
+    assert "<th>versions.jax<td>" in page
+    inside = re.search(r'download="params.json" href="data:[^,]*,([^"]*)"', page)[1]
+    assert base64.b64decode(inside).decode() == (run_folder / "params.json").read_text()
+    assert "<script" not in page
+    assert not re.search(r'(src|href)="(?!data:|history\.npz")', page)
+    assert len(page) < 1_500_000
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("config.json", "{", "not JSON"),
+        ("environment.json", "[1", "not JSON"),
+        ("metrics.csv", None, "No such file"),
+        ("params.json", "{}", "is a required property"),
+        ("checkpoint.npz", None, "not finished"),
+    ],
+)
+def test_damaged_runs_are_one_line(run_folder, tmp_path, capsys, name, content, message):
+    folder = tmp_path / "run"
+    shutil.copytree(run_folder, folder)
+    (folder / "report.html").unlink(missing_ok=True)
+    (folder / name).unlink() if content is None else (folder / name).write_text(content)
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["report", str(folder), "--scenes", "1"])
+    said = capsys.readouterr().err
+    assert (stop.value.code, said.count("\n")) == (2, 1)
+    assert said.startswith(f"fntg: error: {folder}")
+    assert message in said
+    assert not (folder / "report.html").exists()
+
+
+def test_controller_of_a_run_is_a_file(run_folder):
+    assert export.load(run_folder / "params.json").provenance["best_of_seeds"] == 2
