@@ -80,7 +80,10 @@ class Kinematic:
 
     dt: control step, s.  limits: speeds, informative only: the command is taken as it comes.
     actuation, sensing: None switches the part off, as in the paper.  latency: how many control
-    steps an observation is old (static).  ball_deceleration: m/s^2 of a rolling ball.
+    steps an observation is old (static).  capture: m ahead of the centre from where d_ball is
+    measured (static); the quadruped's is 0.145, and a controller that shall walk it has to learn
+    with that: without, an approach at a constant bearing is as good as a straight one.
+    ball_deceleration: m/s^2 of a rolling ball.
     """
 
     dt: Scalar = 0.1
@@ -89,6 +92,7 @@ class Kinematic:
     sensing: Sensing | None = None
     ball_deceleration: Scalar = scenes.BALL_DECELERATION
     latency: int = dataclasses.field(default=0, metadata={"static": True})
+    capture: float = dataclasses.field(default=0.0, metadata={"static": True})
     field: Field = dataclasses.field(default=FIELD, metadata={"static": True})
 
     def reset(self, scene: Scene) -> State:
@@ -152,11 +156,15 @@ class Kinematic:
         d_obstacle, ox, oy = nearest_obstacle(state.x, state.y, state.discs, self.field)
         c, s = state.cos, state.sin
         return Observation(
-            d_ball=distance(bx, by),
+            d_ball=distance(bx, by) if self.capture == 0 else self._from_capture(state, bx, by),
             d_obstacle=d_obstacle,
             theta_ball=bearing(c * bx + s * by, c * by - s * bx),
             theta_obstacle=bearing(c * ox + s * oy, c * oy - s * ox),
         )
+
+    def _from_capture(self, state: State, bx: Scalar, by: Scalar) -> Scalar:
+        c, s = state.cos, state.sin
+        return distance(c * bx + s * by - self.capture, c * by - s * bx)
 
     def observe(self, state: State) -> Observation:
         """What the controller sees: `measure`, delayed by `latency` steps and noisy."""
@@ -220,13 +228,14 @@ def _wrap(angle: Scalar) -> Scalar:
 _LIMITS = {"v_min": (-1, 1), "v_max": (0.001, 1), "omega_max": (0.01, 10)}
 _ACTUATION = {"v_rate": (0.001, 100), "omega_rate": (0.01, 1000), "lag": (0, 10)}
 _SENSING = {"angle_noise": (0, 3.2), "range_noise": (0, 1)}
-_OTHER = {"dt": (0.001, 1), "ball_deceleration": (0, 10), "latency": (0, 100)}
+_OTHER = {"dt": (0.001, 1), "ball_deceleration": (0, 10), "latency": (0, 100), "capture": (0, 0.5)}
 
 
 def make(**options: float) -> Kinematic:
-    """A `Kinematic` from flat options by name: dt, latency (steps), ball_deceleration; v_min,
-    v_max, omega_max; v_rate, omega_rate, lag (any of them switches actuation on); angle_noise,
-    range_noise (sensing).  Raises ValueError naming the option, its value and the allowed range.
+    """A `Kinematic` from flat options by name: dt, latency (steps), capture (m),
+    ball_deceleration; v_min, v_max, omega_max; v_rate, omega_rate, lag (any of them switches
+    actuation on); angle_noise, range_noise (sensing).  Raises ValueError naming the option, its
+    value and the allowed range.
     """
     known = {**_LIMITS, **_ACTUATION, **_SENSING, **_OTHER}
     for name, value in options.items():

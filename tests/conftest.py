@@ -8,6 +8,11 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from fntg_jax import xla
+
+# XLA reads its flags when it starts.  Without them the quadruped's step takes minutes to compile.
+xla.configure()
+
 # Compilation makes the first example slow: no deadlines.  Repeatable, so that a red test stays
 # red; FNTG_HYPOTHESIS=random searches anew.
 settings.register_profile(

@@ -1,0 +1,56 @@
+"""The Sony ERS-210 walking in physics: model, locomotion and environment.
+
+MuJoCo and MJX are imported when a world is made, not before.
+"""
+
+from functools import partial
+from typing import Any
+
+from envs import scenes
+from envs.base import Limits, World
+from envs.field import FIELD
+
+# Option -> (least, largest) value.
+_LIMITS = {"v_min": (-0.3, 0.3), "v_max": (0.001, 0.3), "omega_max": (0.01, 2.0)}
+_OTHER = {"dt": (0.01, 1), "ball_deceleration": (0, 10)}
+_TIMESTEP = 0.01  # s, of physics
+
+
+def make(impl: str = "structured", **options: float) -> Any:
+    """A `Quadruped` from flat options by name: dt (whole hundredths of a
+    second); v_min, v_max, omega_max; ball_deceleration.
+
+    impl: structured, jax or warp.  Raises ValueError naming the option, its value and the
+    allowed range, and where MuJoCo is not installed.
+    """
+    known = {**_LIMITS, **_OTHER}
+    for name, value in options.items():
+        if name not in known:
+            raise ValueError(f"env option {name!r}: known are {', '.join(known)}")
+        low, high = known[name]
+        if not low <= value <= high:
+            raise ValueError(f"env option {name} = {value}: allowed are {low} to {high}")
+    limits = Limits(**{name: options.pop(name) for name in _LIMITS if name in options})
+    if limits.v_min >= limits.v_max:
+        raise ValueError(f"env option v_min = {limits.v_min}: must be below v_max = {limits.v_max}")
+    dt = options.pop("dt", 0.1)
+    substeps = round(dt / _TIMESTEP)
+    if abs(substeps * _TIMESTEP - dt) > 1e-6:
+        raise ValueError(f"env option dt = {dt}: allowed are multiples of {_TIMESTEP}")
+    try:
+        from envs.quadruped.environment import Quadruped
+        from envs.quadruped.physics import Solver
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("mujoco"):
+            raise
+        raise ValueError("the quadruped needs MuJoCo: pip install 'fntg-jax[mjx]'") from error
+    return Quadruped(limits=limits, solver=Solver(impl, _TIMESTEP, substeps), **options)
+
+
+def _world(impl: str) -> World:
+    return World(make=partial(make, impl), suites=scenes.SUITES, mix=scenes.Mix, field=FIELD)
+
+
+world = _world("structured")
+world_mjx = _world("jax")
+world_warp = _world("warp")

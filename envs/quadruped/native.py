@@ -1,0 +1,156 @@
+"""The same episodes in MuJoCo's C code: the truth to compare with, and the full model.
+
+A controller is closed around native physics one control step at a time, for a batch of scenes:
+observation, gait and set-points come from the environment's own functions, only the physics is
+MuJoCo's.  In the full variant ball, walls, obstacles and the dog's body are part of it.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from mujoco import rollout as mujoco_rollout
+
+from envs.base import Observation, Scene
+from envs.field import Ball
+from envs.quadruped import mjcf, physics
+from envs.quadruped.environment import Quadruped, State
+
+_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_INPUT = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS
+
+
+class Episode(NamedTuple):
+    """What happened, NumPy, leading axes [steps + 1, scenes] (command: [steps, scenes]).
+
+    observation: true distances and angles; command: the controller's; qpos: coordinates of the
+    model's variant; ball: x, y (m); obstacles: x, y, radius (m); fallen.
+    """
+
+    observation: Observation
+    command: Any
+    qpos: np.ndarray
+    ball: np.ndarray
+    obstacles: np.ndarray
+    fallen: np.ndarray
+
+
+def run(
+    env: Quadruped,
+    scenes: Scene,
+    control: Callable[[Any], Any],
+    variant: str = mjcf.LEAN,
+    num_steps: int = 220,
+    num_threads: int = 2,
+) -> Episode:
+    """Drive a batch of scenes.  control: observation (leaves [scenes]) -> command, jitted here.
+
+    The full variant takes each obstacle's radius into the model, so that it is compiled once a
+    scene.  A dog that has fallen goes on being simulated, but what is judged is the state from
+    before the fall, as in the environment; numbers that blow up are caught.
+    """
+    num = scenes.start.shape[0]
+    num_obstacles = scenes.obstacles.shape[1]
+    full = variant == mjcf.FULL
+    models = [_model(variant, env, scenes, n, num_obstacles) for n in range(num if full else 1)]
+    model = models[0]
+    datas = [mujoco.MjData(model) for _ in range(num_threads)]
+    state = jax.jit(jax.vmap(env.reset))(scenes)
+    qpos, qvel = np.zeros((num, model.nq)), np.zeros((num, model.nv))
+    qpos[:] = model.qpos0
+    qpos[:, : physics.NUM_Q] = state.qpos
+    if full:
+        ball = physics.NUM_Q + 5
+        qpos[:, ball : ball + 2] = scenes.ball
+        if scenes.ball_velocity is not None:
+            qvel[:, physics.NUM_V + 5 : physics.NUM_V + 7] = scenes.ball_velocity
+
+    @jax.jit
+    def before(state):
+        seen = jax.vmap(env.measure)(state)
+        command = control(seen)
+        wanted = jnp.stack([command.v, jnp.zeros_like(command.v), command.omega], axis=1)
+        stride, targets = jax.vmap(env.targets)(state, wanted)
+        return seen, command, stride, targets
+
+    @jax.jit
+    def after(state, qpos, qvel, stride):
+        turns = state.phase + env.dt / env.gait.period
+        new = jax.vmap(env.accept)(state, qpos, qvel, turns - jnp.floor(turns), stride)
+        return new, jax.vmap(env.measure)(new)
+
+    size = mujoco.mj_stateSize(model, _PHYSICS)
+    seen, record = jax.vmap(env.measure)(state), []
+    commands = []
+    with mujoco_rollout.Rollout(nthread=num_threads) as pool:
+        for _ in range(num_steps):
+            record.append(_row(seen, qpos, state))
+            _, command, stride, targets = before(state)
+            commands.append(jax.tree.map(np.asarray, command))
+            initial = np.zeros((num, size))
+            # Layout of the state vector: time, qpos, qvel.
+            initial[:, 1 : 1 + model.nq] = qpos
+            initial[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
+            inputs = np.zeros((num, env.solver.substeps, model.nu + 3 * model.nmocap))
+            inputs[:, :, :12] = targets
+            for k in range(model.nmocap):
+                disc = state.discs[k]
+                inputs[:, :, model.nu + 3 * k] = np.asarray(disc.x)[:, None]
+                inputs[:, :, model.nu + 3 * k + 1] = np.asarray(disc.y)[:, None]
+                inputs[:, :, model.nu + 3 * k + 2] = 0.12
+            path, _ = pool.rollout(
+                models if full else model, datas, initial, inputs, control_spec=int(_INPUT)
+            )
+            end = path[:, -1]
+            qpos = end[:, 1 : 1 + model.nq].copy()
+            qvel = end[:, 1 + model.nq : 1 + model.nq + model.nv].copy()
+            lost = ~np.isfinite(qpos).all(1) | ~np.isfinite(qvel).all(1)
+            qpos[lost], qvel[lost] = model.qpos0, 0
+            legs_q = np.where(lost[:, None], np.nan, qpos[:, : physics.NUM_Q])
+            legs_q = jnp.asarray(legs_q, jnp.float32)
+            legs_v = jnp.asarray(qvel[:, : physics.NUM_V], jnp.float32)
+            state, seen = after(state, legs_q, legs_v, stride)
+            if full:
+                x, y = jnp.asarray(qpos[:, ball : ball + 2].T, jnp.float32)
+                state = state._replace(ball=Ball(x, y))
+                seen = jax.vmap(env.measure)(state)
+    record.append(_row(seen, qpos, state))
+    columns = [jax.tree.map(lambda *x: np.stack(x), *column) for column in zip(*record)]
+    commands = jax.tree.map(lambda *x: np.stack(x), *commands)
+    return Episode(columns[0], commands, *columns[1:])
+
+
+def _model(variant: str, env: Quadruped, scenes: Scene, n: int, num_obstacles: int):
+    if variant == mjcf.LEAN:
+        return physics.compile_model(variant, env.solver)
+    model = mujoco.MjModel.from_xml_string(
+        mjcf.mjcf(
+            variant,
+            timestep=env.solver.timestep,
+            # Many contacts at once: one iteration is enough for four feet, not for a collision.
+            iterations=20,
+            ls_iterations=20,
+            num_obstacles=num_obstacles,
+        )
+    )
+    for k in range(num_obstacles):
+        model.geom(f"obstacle{k}").size[0] = float(scenes.obstacles[n, k, 2])
+    return model
+
+
+def _row(seen, qpos, state: State):
+    now = (seen, qpos.copy(), _ball(state), _discs(state), state.fallen)
+    return jax.tree.map(np.asarray, now)
+
+
+def _ball(state: State):
+    return np.stack([np.asarray(state.ball.x), np.asarray(state.ball.y)], axis=-1)
+
+
+def _discs(state: State):
+    if not state.discs:
+        return np.zeros((state.qpos.shape[0], 0, 3))
+    return np.stack([np.stack([np.asarray(x) for x in d[:3]], -1) for d in state.discs], axis=1)

@@ -1,0 +1,256 @@
+"""Evolve the trot's parameters with our own genetic algorithm, and print what a gait does.
+
+python -m experiments.tune_gait evolve --out gait.json     about two minutes on two cores
+python -m experiments.tune_gait evolve --goal speed --out fast.json
+python -m experiments.tune_gait table [--gait gait.json] [--csv table.csv]
+python -m experiments.tune_gait speed [--gait gait.json]   forward speed against command
+python -m experiments.tune_gait falls [--gait gait.json]   100 random command sequences
+"""
+
+import csv
+import dataclasses
+import json
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+from fntg_jax import ga, genome, xla
+
+# Gene -> (least, largest) value.
+GENES = {
+    "period": (0.22, 0.50),
+    "duty": (0.50, 0.70),
+    "lift": (0.006, 0.030),
+    "height": (0.090, 0.120),
+    "tilt": (-0.012, 0.012),
+    "fore_x": (-0.030, 0.030),
+    "hind_x": (-0.040, 0.030),
+    "fore_y": (0.0, 0.030),
+    "hind_y": (0.0, 0.030),
+    "gain_x": (0.7, 1.3),
+    "gain_y": (0.7, 1.3),
+    "gain_omega": (0.7, 1.3),
+    "full_lift": (0.005, 0.100),
+}
+# v_x, v_y (m/s), omega (rad/s): forward, backward, sideways, turning, combined.
+COMMANDS = np.array(
+    [[v, 0, 0] for v in (0.05, 0.10, 0.15, 0.20, 0.25, -0.05, -0.10, -0.15, -0.20)]
+    + [[0, v, 0] for v in (0.05, 0.10, -0.05, -0.10)]
+    + [[0, 0, w] for w in (0.3, 0.7, 1.1, 1.5, -0.3, -0.7, -1.1, -1.5)]
+    + [[0.05, 0, 1.0], [0.10, 0, -1.0], [0.15, 0, 0.5], [0.20, 0, -0.5], [0.25, 0, 1.5]]
+    + [[0.20, 0, -1.5], [0.10, 0.05, 0.0], [0.15, -0.05, 0.3], [-0.10, 0, 0.5]],
+    np.float32,
+)
+SETTLE, MEASURE = 20, 60  # control steps of 0.1 s before and while measuring
+
+
+class Walk(NamedTuple):
+    """A command with all three velocities: m/s, rad/s, m/s."""
+
+    v: Any
+    omega: Any
+    v_y: Any
+
+
+class Track(NamedTuple):
+    """What a walk came to: mean v_x, v_y, omega in the body's frame; whether the dog fell; swing
+    of the heading about its mean course (rad, standard deviation); lowest uprightness; largest
+    joint speed at the ends of control steps (rad/s)."""
+
+    velocity: Any
+    fallen: Any
+    swing: Any
+    upright: Any
+    joint_speed: Any
+
+
+def walk(env, commands) -> Track:
+    """Drive the dog with commands [n, 3] from a stand at the field's centre."""
+    from envs.base import Scene
+    from envs.quadruped.environment import heading
+
+    zero = jnp.zeros(3)
+    start = env.reset(Scene(zero, zero[:2], jnp.zeros((0, 3))))
+
+    def control_step(state, u):
+        new = env.step(state, Walk(u[0], u[2], u[1]))
+        (c0, s0), (c1, s1) = heading(state.qpos), heading(new.qpos)
+        turn = jnp.arcsin(jnp.clip(c0 * s1 - s0 * c1, -1, 1))
+        dx, dy = new.qpos[0] - state.qpos[0], new.qpos[1] - state.qpos[1]
+        c, s = c0 + c1, s0 + s1  # along the middle of both headings
+        norm = jnp.maximum(jnp.hypot(c, s), 1e-6)
+        moved = jnp.stack([c * dx + s * dy, c * dy - s * dx]) / norm
+        return new, (moved, turn, 1 - 2 * jnp.sum(new.qpos[4:6] ** 2), jnp.abs(new.qvel[6:]).max())
+
+    state, (moved, turn, upright, speed) = jax.lax.scan(control_step, start, commands)
+    moved, turn = moved[SETTLE:], turn[SETTLE:]
+    velocity = jnp.append(jnp.mean(moved, 0), jnp.mean(turn)) / env.dt
+    course = jnp.cumsum(turn - jnp.mean(turn))
+    return Track(velocity, state.fallen, jnp.std(course), jnp.min(upright), jnp.max(speed))
+
+
+def steady(env, commands=COMMANDS) -> Track:
+    """One walk for every command, held all the time.  Leaves [commands]."""
+    held = jnp.repeat(jnp.asarray(commands)[:, None], SETTLE + MEASURE, axis=1)
+    return jax.vmap(partial(walk, env))(held)
+
+
+def random_sequences(key, num: int, num_steps: int):
+    """Commands [num, num_steps, 3] that jump every 0.4 s over the whole range."""
+    high = jnp.asarray([0.25, 0.10, 1.5])
+    low = jnp.asarray([-0.20, -0.10, -1.5])
+    jumps = jax.random.uniform(key, (num, -(-num_steps // 4), 3), minval=low, maxval=high)
+    return jnp.repeat(jumps, 4, axis=1)[:, :num_steps]
+
+
+def falls(env, key, num: int = 100, num_steps: int = 220) -> Track:
+    """Random command sequences of 22 s.  Leaves [num]."""
+    return jax.vmap(partial(walk, env))(random_sequences(key, num, num_steps))
+
+
+def errors(track: Track, commands) -> tuple[Any, Any]:
+    """Errors of velocity (m/s, both axes together) and of turning (rad/s), [commands]."""
+    off = track.velocity - commands
+    return jnp.hypot(off[..., 0], off[..., 1]), jnp.abs(off[..., 2])
+
+
+def gait_of(base, theta):
+    """A gait from genes in (-5, 5): linear in the ranges of `GENES`."""
+    share = (theta + 5) / 10
+    values = {n: lo + share[i] * (hi - lo) for i, (n, (lo, hi)) in enumerate(GENES.items())}
+    return dataclasses.replace(base, **values)
+
+
+def tracking_fitness(env, key, theta):
+    """10 / (0.1 + cost): errors in units of the tolerances 0.01 m/s and 0.05 rad/s, swing of
+    the heading in units of 0.03 rad, a fall 20.  A few jumping commands guard against falls."""
+    own = dataclasses.replace(env, gait=gait_of(env.gait, theta))
+    track = steady(own)
+    v, omega = errors(track, COMMANDS)
+    cost = jnp.mean(v / 0.01 + omega / 0.05 + track.swing / 0.03 + 20.0 * track.fallen)
+    jumpy = falls(own, key, 6, SETTLE + MEASURE)
+    cost += jnp.mean(20.0 * jumpy.fallen + 10 * jax.nn.relu(0.95 - jumpy.upright))
+    return 10 / (0.1 + cost)
+
+
+def speed_fitness(env, key, theta):
+    """Forward speed (m/s, times ten) over 8 s at the best of five commands, if the dog keeps
+    its course and does not fall."""
+    own = dataclasses.replace(env, gait=gait_of(env.gait, theta))
+    commands = jnp.asarray([[v, 0, 0] for v in (0.3, 0.4, 0.5, 0.6, 0.7)])
+    track = steady(own, commands)
+    good = ~track.fallen & (jnp.abs(track.velocity[:, 2]) < 0.2)
+    return 10 * jnp.max(jnp.where(good, jnp.maximum(track.velocity[:, 0], 0), 0.0))
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """Gait tuning.
+
+    Attributes:
+        what: evolve, table, speed or falls.
+        goal: what to evolve: tracking of commands, or forward speed.
+        gait: gait to start from or to look at; default the shipped one.
+        out: where the evolved gait goes.
+        csv: where the table goes, too.
+        population, generations, seed: of the genetic algorithm.
+    """
+
+    what: tyro.conf.Positional[Literal["evolve", "table", "speed", "falls"]] = "table"
+    goal: Literal["tracking", "speed"] = "tracking"
+    gait: Path | None = None
+    out: Path = Path("gait.json")
+    csv: Path | None = None
+    population: int = 40
+    generations: int = 40
+    seed: int = 0
+
+
+def run(config: Config, env) -> tuple[ga.State, ga.Record]:
+    """Evolve a gait; rank selection, since fitness differences get small."""
+    settings = ga.GAConfig(
+        population=config.population, selection="rank", mutation_rate=0.01, num_elites=2
+    )
+    fitness = {"tracking": tracking_fitness, "speed": speed_fitness}[config.goal]
+
+    def fitness_fn(key, theta):
+        return jax.vmap(partial(fitness, env, key))(theta)
+
+    advance = jax.jit(partial(ga.generation, fitness_fn=fitness_fn, config=settings))
+    state = ga.init(jax.random.key(config.seed), len(GENES), settings)
+    records = []
+    for n in range(config.generations):
+        state, record = advance(state)
+        records.append(record)
+        print(f"generation {n + 1}: best {record.best:.3f} mean {record.mean:.3f}", file=sys.stderr)
+    return state, jax.tree.map(lambda *x: np.stack(x), *records)
+
+
+def table(env) -> list[dict[str, float]]:
+    """Commanded against achieved, one row a command."""
+    track = jax.jit(steady)(env)
+    v, omega = errors(track, COMMANDS)
+    rows = []
+    for i, (vx, vy, w) in enumerate(COMMANDS.tolist()):
+        got = [float(x) for x in track.velocity[i]]
+        rows.append(
+            {"v_x": vx, "v_y": vy, "omega": w, "got_v_x": got[0], "got_v_y": got[1]}
+            | {"got_omega": got[2], "v_error": float(v[i]), "omega_error": float(omega[i])}
+            | {"heading_swing": float(track.swing[i]), "fell": int(track.fallen[i])}
+        )
+    return [{k: round(x, 4) for k, x in row.items()} for row in rows]
+
+
+def main(argv: list[str] | None = None) -> None:
+    config = tyro.cli(Config, args=argv)
+    xla.configure()
+    from envs.quadruped.environment import Quadruped
+    from envs.quadruped.locomotion import DEFAULT_GAIT, load_gait
+
+    gait = load_gait(config.gait or DEFAULT_GAIT)
+    env = Quadruped(gait=gait)
+    if config.what == "evolve":
+        state, _ = run(config, env)
+        theta = genome.decode(state.best_bits, 15, False)
+        best = gait_of(gait, theta)
+        values = {f.name: round(float(getattr(best, f.name)), 5) for f in dataclasses.fields(best)}
+        origin = f"experiments.tune_gait --goal {config.goal} --population {config.population}"
+        origin += f" --generations {config.generations} --seed {config.seed}"
+        document = {"format": "fntg-gait", "version": 1, "origin": origin, "gait": values}
+        config.out.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+        print(f"fitness {float(state.best_fitness):.3f}, written to {config.out}")
+    elif config.what == "table":
+        rows = table(env)
+        print(" ".join(f"{k:>13s}" for k in rows[0]))
+        for row in rows:
+            print(" ".join(f"{x:13.4g}" for x in row.values()))
+        mean = {k: float(np.mean([r[k] for r in rows])) for k in ("v_error", "omega_error")}
+        print(f"mean error {mean['v_error']:.4f} m/s, {mean['omega_error']:.4f} rad/s")
+        if config.csv is not None:
+            with config.csv.open("w", newline="", encoding="utf-8") as file:
+                writer = csv.DictWriter(file, rows[0])
+                writer.writeheader()
+                writer.writerows(rows)
+    elif config.what == "speed":
+        commands = np.array([[v, 0, 0] for v in np.arange(0.10, 0.81, 0.05)], np.float32)
+        track = jax.jit(steady)(env, commands)
+        for command, got, fell, joint in zip(
+            commands, track.velocity, track.fallen, track.joint_speed
+        ):
+            print(
+                f"{command[0]:.2f} m/s: v_x {got[0]:.3f} v_y {got[1]:.3f} m/s, omega {got[2]:.3f}"
+                f" rad/s, joints up to {joint:.1f} rad/s{', fell' if fell else ''}"
+            )
+    else:
+        track = jax.jit(falls)(env, jax.random.key(config.seed))
+        print(f"{int(track.fallen.sum())} falls in {track.fallen.shape[0]} sequences of 22 s")
+
+
+if __name__ == "__main__":
+    main()
