@@ -59,7 +59,7 @@ def fntg(clean_env):
 
     def run(*arguments, cwd=None, **env: str) -> subprocess.CompletedProcess:
         return subprocess.run(
-            fntg_argv(*arguments),
+            [sys.executable, "-m", "fntg_jax.cli", *map(str, arguments)],
             env={**clean_env, **env},
             cwd=cwd,
             capture_output=True,
@@ -67,7 +67,3 @@ def fntg(clean_env):
         )
 
     return run
-
-
-def fntg_argv(*arguments) -> list[str]:
-    return [sys.executable, "-m", "fntg_jax.cli", *map(str, arguments)]

@@ -27,7 +27,8 @@ def test_bearing_is_atan2_with_its_gradient(v):
     x, y, square = x[clear], y[clear], square[clear]
     np.testing.assert_allclose(by_x[clear], -y / square, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(by_y[clear], x / square, rtol=1e-5, atol=1e-6)
-    assert np.isfinite(by_x).all() and np.isfinite(by_y).all()
+    assert np.isfinite(by_x).all()
+    assert np.isfinite(by_y).all()
 
 
 def test_bearing_quadrants_and_origin():
@@ -85,7 +86,8 @@ def test_nearest_obstacle_against_brute_force():
 
 def test_outside_the_field_the_distance_is_negative_and_points_outward():
     d, ux, uy = nearest_obstacle(jnp.float32(1.5), jnp.float32(0.2), [])
-    assert float(d) == pytest.approx(-0.1) and (float(ux), float(uy)) == (1, 0)
+    assert float(d) == pytest.approx(-0.1)
+    assert (float(ux), float(uy)) == (1, 0)
 
 
 @jax.jit
@@ -111,12 +113,14 @@ def test_rolling_ball_against_closed_form(place, speed, course, deceleration, nu
     left = max(speed - deceleration * 0.1 * num, 0)
     assert math.hypot(end.vx, end.vy) == pytest.approx(left, abs=1e-9)
     half = FIELD.length / 2 - FIELD.ball_radius, FIELD.width / 2 - FIELD.ball_radius
-    assert abs(end.x) <= half[0] and abs(end.y) <= half[1]
+    assert abs(end.x) <= half[0]
+    assert abs(end.y) <= half[1]
 
 
 def test_a_ball_bounces_and_a_still_one_stays():
     ball = roll_ball(Ball(1.35, 0.0, 0.3, 0.1), 0.1, 0.0)
-    assert float(ball.x) == pytest.approx(2 * (1.4 - 0.042) - 1.38) and float(ball.vx) < 0
+    assert float(ball.x) == pytest.approx(2 * (1.4 - 0.042) - 1.38)
+    assert float(ball.vx) < 0
     assert float(ball.vy) == pytest.approx(0.1)
     still = Ball(0.1, 0.2)
     assert roll_ball(still, 0.1, 0.05) is still

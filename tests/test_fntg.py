@@ -185,7 +185,8 @@ def test_weighted_averages_are_the_sum_over_firing_strengths():
 def test_obstacle_labels_know_left_from_right():
     d = partial(fntg.obstacle_side, sigma=jnp.asarray([0.7, 0.7, 0.7]))
     left, right = d(jnp.float32(0.5)), d(jnp.float32(-0.5))
-    assert left[0] > 0 == left[1] and right[1] > 0 == right[0]
+    assert left[0] > 0 == left[1]
+    assert right[1] > 0 == right[0]
     ahead = [float(x) for x in d(jnp.float32(0))]
     assert ahead == [0, 1, 0]  # the paper counts theta_O = 0 to the right
     for theta in np.linspace(-np.pi, np.pi, 33, dtype=np.float32):

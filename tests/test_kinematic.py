@@ -1,3 +1,4 @@
+import itertools
 import math
 from functools import partial
 
@@ -98,7 +99,7 @@ def test_closed_loop_converges_with_first_order_in_dt():
         for gene, value in fixed.items():
             thetas[:, [g.name for g in layout.genes].index(gene)] = value
         ends = [np.asarray(end(thetas, num)) for num in (80, 160, 320, 640)]
-    steps = [np.linalg.norm(a - b) for a, b in zip(ends, ends[1:])]
+    steps = [np.linalg.norm(a - b) for a, b in itertools.pairwise(ends)]
     assert steps[0] > 1e-5
     np.testing.assert_allclose(np.log2(np.divide(steps[:-1], steps[1:])), 1, atol=0.1)
 
@@ -165,7 +166,8 @@ def test_noisy_angles_stay_wrapped():
     _, seen, _ = driven(env, behind, 0.0, 0.0, 500)
     angles = np.asarray(seen.theta_ball)
     assert np.abs(angles).max() <= math.pi + 1e-6
-    assert (angles > 2).any() and (angles < -2).any()
+    assert (angles > 2).any()
+    assert (angles < -2).any()
 
 
 def test_ball_and_obstacles_move_as_the_reference_says():

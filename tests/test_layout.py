@@ -28,7 +28,8 @@ def test_every_gene_is_used_named_once_and_bounded(layout):
     used = {i for i, s in zip(layout.index, layout.sign) if s}
     assert used == set(range(layout.num_genes))
     assert len({g.name for g in layout.genes}) == layout.num_genes
-    assert set(layout.low) == {-5} and set(layout.high) == {5}
+    assert set(layout.low) == {-5}
+    assert set(layout.high) == {5}
 
 
 def test_printed_order_of_the_chromosome():
@@ -77,12 +78,15 @@ def test_rule_tables_of_reduced_and_symmetric_layouts(layout):
     assert (params.V[mirrored] == params.V).all() == symmetric
     assert (params.Omega == -params.Omega[mirrored]).all() == symmetric
     if layout.name == "mirror-28":
-        assert params.a_C[0] == -params.a_C[1] and params.c_C[0] == -params.c_C[1]
+        assert params.a_C[0] == -params.a_C[1]
+        assert params.c_C[0] == -params.c_C[1]
         assert params.bias[1] == 0
     if layout.name == "three-sigma-31":
-        assert (params.bias == 0).all() and len(set(params.sigma.tolist())) == 3
+        assert (params.bias == 0).all()
+        assert len(set(params.sigma.tolist())) == 3
     if layout.name == "two-sigma-31":
-        assert params.sigma[0] == params.sigma[1] != params.sigma[2] and params.bias[1] == 0
+        assert params.sigma[0] == params.sigma[1] != params.sigma[2]
+        assert params.bias[1] == 0
 
 
 @each_layout

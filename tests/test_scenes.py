@@ -45,7 +45,8 @@ def test_declared_distances(name):
     assert (apart(discs[..., :2], ball[:, None]) - radius >= 0.35 - near).all()
     assert (apart(discs[..., :2], start[:, None]) - radius >= 0.25 - ROUNDING).all()
     assert (abs(discs[..., :2]) <= HALF - radius[..., None] + ROUNDING).all()
-    assert (radius >= 0.08).all() and (radius <= 0.145 + ROUNDING).all()
+    assert (radius >= 0.08).all()
+    assert (radius <= 0.145 + ROUNDING).all()
     gap = apart(discs[:, 0, :2], discs[:, 1, :2]) - radius.sum(1)
     assert (gap >= 0.40 - ROUNDING).all()
     assert (abs(scene.start[:, 2]) <= np.pi).all()
@@ -74,7 +75,8 @@ def test_blocked_really_is():
     way = np.linspace(0, 1, 400)[:, None, None]
     off = apart(a + way * (b - a), c).min(0)
     assert (off <= 0.145 + ROUNDING).all()
-    assert off.max() > 0.12 and off.min() < 0.02
+    assert off.max() > 0.12
+    assert off.min() < 0.02
     assert (apart(a, b) >= 1.0 - ROUNDING).all()
 
 
@@ -83,10 +85,12 @@ def test_only_what_is_named_moves():
     assert {n for n, s in moving.items() if s.ball_velocity is not None} == {"moving-ball"}
     assert {n for n, s in moving.items() if s.obstacle_velocity is not None} == {"moving-obstacles"}
     speed = np.linalg.norm(draw("moving-ball").ball_velocity, axis=-1)
-    assert speed.min() >= 0.05 - ROUNDING and speed.max() <= 0.30 + ROUNDING
+    assert speed.min() >= 0.05 - ROUNDING
+    assert speed.max() <= 0.30 + ROUNDING
     assert np.ptp(speed) > 0.2
     speed = np.linalg.norm(draw("moving-obstacles").obstacle_velocity, axis=-1)
-    assert speed.min() >= 0.02 - ROUNDING and speed.max() <= 0.10 + ROUNDING
+    assert speed.min() >= 0.02 - ROUNDING
+    assert speed.max() <= 0.10 + ROUNDING
 
 
 def test_walking_obstacles_never_come_too_near_the_ball():
@@ -104,10 +108,13 @@ def test_walking_obstacles_never_come_too_near_the_ball():
 def test_the_paper_suite_is_fixed():
     one, other = draw("paper", 1, 4), draw("paper", 2, 4)
     jax.tree.map(np.testing.assert_array_equal, one, other)
-    assert len(np.unique(one.start, axis=0)) == 4 and len(np.unique(one.ball, axis=0)) == 1
+    assert len(np.unique(one.start, axis=0)) == 4
+    assert len(np.unique(one.ball, axis=0)) == 1
     start, ball, disc = one.start[:, :2], one.ball[0], one.obstacles[0, 0]
-    assert (apart(start, ball) > 0.30).all() and apart(disc[:2], ball) - disc[2] >= 0.35
-    assert (HALF - abs(start) >= 0.25).all() and (apart(start, disc[:2]) - disc[2] > 0.25).all()
+    assert (apart(start, ball) > 0.30).all()
+    assert apart(disc[:2], ball) - disc[2] >= 0.35
+    assert (HALF - abs(start) >= 0.25).all()
+    assert (apart(start, disc[:2]) - disc[2] > 0.25).all()
     way = start[0] + np.linspace(0, 1, 400)[:, None] * (ball - start[0])
     assert apart(way, disc[:2]).min() < 0.145  # from the first start the obstacle is in the way
 
