@@ -13,8 +13,8 @@ from PIL import Image
 
 from fntg_jax import cli, evaluation, replay, runfolder, runner
 from fntg_jax.fitness import success
-from fntg_jax.ga import GAConfig
 from tests.controllers import random_controller
+from tests.small_run import small_run
 
 WORLD = runner.get_world("kinematic")
 HOSTILE = "</script><script>alert(1)</script><b title='x'>&amp;\u2028 @DATA@"
@@ -99,14 +99,10 @@ def test_animation(panels, image_format):
     assert np.abs(np.asarray(image.convert("RGB"), int) - first).max() > 50  # something moved
 
 
-@pytest.fixture(scope="module")
-def run_folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("run") / "run"
-    config = runner.TrainConfig(seeds=2, generations=2, first_seed=5, ga=GAConfig(population=8))
-    runfolder.create(folder, config)
-    run = runner.train(config)
-    runfolder.finish(folder, run)
-    return folder, run
+@pytest.fixture
+def run_folder():
+    folder = small_run()
+    return folder, runfolder.restore(folder)
 
 
 def test_controllers_of_generations(run_folder):
@@ -127,7 +123,7 @@ def test_replay_command(run_folder, tmp_path, capsys):
     cli.main(["replay", str(folder), "--generations", "1", "2", "--scene", "1", "--out", str(out)])
     assert capsys.readouterr().out == f"{out}\n"
     titles = [p["title"] for p in data_of(out.read_text())["panels"]]
-    assert titles == ["run, generation 1", "run, generation 2"]
+    assert titles == ["<b>run & @BODY@, generation 1", "<b>run & @BODY@, generation 2"]
 
 
 @pytest.mark.parametrize(
