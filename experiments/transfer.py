@@ -23,7 +23,7 @@ import tyro
 from fntg_jax import evaluation, export, fitness, fntg, ga, genome, xla
 from fntg_jax.layout import expand, get_layout
 from fntg_jax.rollout import Outcome, rollout_pairs
-from fntg_jax.runner import get_world
+from fntg_jax.settings import get_world
 
 MIX = (("open", 0.5), ("blocked", 0.5))
 CAPTURE = 0.145  # m, where the quadruped brings the ball to; the kinematic world learns with it
@@ -84,7 +84,7 @@ def evolve(env, world, layout, bits, config: ga.GAConfig, generations, num_scene
     """The best of the last generations' champions, compared on eight more draws of scenes."""
     mix = world.mix(MIX)
 
-    def fitness_fn(key, theta, env):
+    def fitness_fn(key, theta, progress=0.0, *, env):
         return geometric_fitness(rollout_pairs(layout, theta, mix(key, num_scenes), env))
 
     @jax.jit
@@ -105,7 +105,7 @@ def evolve(env, world, layout, bits, config: ga.GAConfig, generations, num_scene
     theta = genome.decode(last, config.num_bits, config.gray)
     trial = jax.jit(fitness_fn)
     keys = jax.random.split(jax.random.key(seed + 1), 8)
-    scores = sum(np.log(trial(k, theta, env)) for k in keys)
+    scores = sum(np.log(trial(k, theta, env=env)) for k in keys)
     return last[int(np.argmax(scores))]
 
 
@@ -147,12 +147,13 @@ def judge_full(stage, controller, config: Config) -> list[Row]:
         scenes = evaluation.held_out_scenes(world, suite, config.full_scenes)
         run = native.run(env, scenes, control, "full")
         steps = [169, 199, 219]
+        d_ball, d_obstacle = map(np.asarray, (run.observation.d_ball, run.observation.d_obstacle))
         parts = fitness.success(
             Outcome(
-                distance=run.observation.d_ball[[s + 1 for s in steps]].T,
+                distance=d_ball[[s + 1 for s in steps]].T,
                 v=run.command.v[steps].T,
                 omega=run.command.omega[steps].T,
-                clearance=run.observation.d_obstacle.min(0),
+                clearance=d_obstacle.min(0),
                 v_peak=run.command.v.max(0),
                 failed=run.fallen[-1],
             )

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import fntg_jax
-from fntg_jax import export
+from fntg_jax import export, runfolder
 from tests.controllers import random_controller
+from tests.small_run import small_run
 
 ROOT = Path(__file__).parents[1]
 
@@ -41,13 +42,14 @@ def test_importing_is_light():
     assert done.stdout == "False False\n"
 
 
-def test_train_writes_the_run_folder_it_is_asked_for(tmp_path):
-    out = tmp_path / "run"
-    controller = fntg_jax.train(out=out, generations=2, ga={"population": 8}, first_seed=4)
-    config = json.loads((out / "config.json").read_text())
+def test_train_writes_the_run_folder_it_is_asked_for():
+    folder = small_run()
+    config = json.loads((folder / "config.json").read_text())
     assert (config["generations"], config["ga"]["population"]) == (2, 8)
     assert config["ga"]["mutation_rate"] == 0.001
-    assert export.dumps(fntg_jax.load(out)) == export.dumps(controller)
+    run = runfolder.restore(folder)
+    assert run.done
+    assert export.dumps(fntg_jax.load(folder)) == export.dumps(runfolder.controller(run))
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ def files(tmp_path):
     return [str(tmp_path / f"{seed}.json") for seed in range(3)]
 
 
-@pytest.mark.parametrize("num", [pytest.param(1, marks=pytest.mark.slow), 2])
+@pytest.mark.parametrize("num", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_plot_command(tmp_path, capsys, files, num):
     cli.main(["plot", *files[:num], "--out", str(tmp_path / "fig")])
     paths = capsys.readouterr().out.split()

@@ -13,12 +13,13 @@ from PIL import Image
 
 from fntg_jax import cli, evaluation, replay, runfolder, runner, settings
 from fntg_jax.fitness import success
-from fntg_jax.ga import GAConfig
 from tests.controllers import random_controller
+from tests.small_run import small_run
 
 WORLD = settings.get_world("kinematic")
 HOSTILE = "</script><script>alert(1)</script><b title='x'>&amp;\u2028 @DATA@"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
 
 
 @pytest.fixture(scope="module")
@@ -72,21 +73,46 @@ def test_a_page_over_the_limit_is_refused(panels):
         replay.page(panels * 20, "many")
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
-def test_page_runs_in_a_browser(panels, tmp_path):
-    (tmp_path / "page.html").write_text(replay.page(panels, HOSTILE))
+def dom_of(page, tmp_path):
+    """The page's DOM at 5 s, after its script has run."""
+    (tmp_path / "page.html").write_text(page)
     flags = ["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run"]
     flags += ["--disable-background-networking", f"--user-data-dir={tmp_path / 'profile'}"]
     url = f"{(tmp_path / 'page.html').as_uri()}#t=5"
     done = subprocess.run(
         [CHROMIUM, *flags, "--dump-dom", url], capture_output=True, text=True, timeout=120
     )
-    text = done.stdout
+    return done.stdout
+
+
+@needs_chromium
+def test_page_runs_in_a_browser(panels, tmp_path):
+    text = dom_of(replay.page(panels, HOSTILE), tmp_path)
     assert '<span id="time">5.0 s</span>' in text
     assert text.count("<section>") == 2
     assert "<h2>&lt;/script&gt;&lt;script&gt;alert(1)" in text
     speed = panels[0]["signals"][0]["values"]
     assert f"<dd>{speed[min(50, len(speed) - 1)]:.2f} m/s</dd>" in text
+
+
+@needs_chromium
+def test_keyboard(panels, tmp_path):
+    press = """<script>
+    const press = (key, shiftKey) => document.body.dispatchEvent(
+      new KeyboardEvent("keydown", {key, shiftKey, bubbles: true, cancelable: true}));
+    const seen = [];
+    const keys = ["End", "ArrowRight", "Home", "ArrowRight", "ArrowRight", "shift", "ArrowLeft"];
+    for (const key of keys) {
+      if (key === "shift") press("ArrowRight", true); else press(key, false);
+      seen.push(get("time").textContent);
+    }
+    press("+"); seen.push(speed.value); press("-"); press("-"); seen.push(speed.value);
+    press(" "); seen.push(play.textContent); press(" "); seen.push(play.textContent);
+    document.title = seen.join("|");
+    </script></body>"""
+    text = dom_of(replay.page(panels, "keys").replace("</body>", press), tmp_path)
+    seen = re.search("<title>(.*?)</title>", text)[1]
+    assert seen == "22.0 s|22.0 s|0.0 s|0.1 s|0.2 s|1.2 s|1.1 s|8|2|Pause|Play"
 
 
 @pytest.mark.parametrize("image_format", ["GIF", "WEBP"])
@@ -99,14 +125,10 @@ def test_animation(panels, image_format):
     assert np.abs(np.asarray(image.convert("RGB"), int) - first).max() > 50  # something moved
 
 
-@pytest.fixture(scope="module")
-def run_folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("run") / "run"
-    config = settings.TrainConfig(seeds=2, generations=2, first_seed=5, ga=GAConfig(population=8))
-    runfolder.create(folder, config)
-    run = runner.train(config)
-    runfolder.finish(folder, run)
-    return folder, run
+@pytest.fixture
+def run_folder():
+    folder = small_run()
+    return folder, runfolder.restore(folder)
 
 
 def test_controllers_of_generations(run_folder):
@@ -127,7 +149,7 @@ def test_replay_command(run_folder, tmp_path, capsys):
     cli.main(["replay", str(folder), "--generations", "1", "2", "--scene", "1", "--out", str(out)])
     assert capsys.readouterr().out == f"{out}\n"
     titles = [p["title"] for p in data_of(out.read_text())["panels"]]
-    assert titles == ["run, generation 1", "run, generation 2"]
+    assert titles == ["<b>run & @BODY@, generation 1", "<b>run & @BODY@, generation 2"]
 
 
 @pytest.mark.parametrize(

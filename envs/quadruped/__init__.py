@@ -44,7 +44,7 @@ def make(impl: str = "structured", **options: float) -> Any:
         if not (error.name or "").startswith("mujoco"):
             raise
         raise ValueError("the quadruped needs MuJoCo: pip install 'fntg-jax[mjx]'") from error
-    return Quadruped(limits=limits, solver=Solver(impl, _TIMESTEP, substeps), **options)
+    return Quadruped(limits=limits, solver=Solver(impl, _TIMESTEP, substeps), **options)  # type: ignore[arg-type]
 
 
 def _world(impl: str) -> World:

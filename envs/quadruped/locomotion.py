@@ -89,7 +89,7 @@ def leg_forward(q: Float[Array, "*b 4 3"]) -> Float[Array, "*b 4 3"]:
     pz = -c.UPPER_LEG - SHIN * jnp.cos(q3)
     y, z = -pz * jnp.sin(q2), pz * jnp.cos(q2)
     x, z = px * jnp.cos(q1) - z * jnp.sin(q1), px * jnp.sin(q1) + z * jnp.cos(q1)
-    return SHOULDERS + jnp.stack([x * FORE, y * SIDE, z], axis=-1)
+    return jnp.asarray(SHOULDERS) + jnp.stack([x * FORE, y * SIDE, z], axis=-1)
 
 
 def leg_inverse(foot: Float[Array, "*b 4 3"], xp=jnp) -> Float[Array, "*b 4 3"]:

@@ -110,7 +110,7 @@ def run(
             lost = ~np.isfinite(qpos).all(1) | ~np.isfinite(qvel).all(1)
             qpos[lost], qvel[lost] = model.qpos0, 0
             legs_q = np.where(lost[:, None], np.nan, qpos[:, : physics.NUM_Q])
-            legs_q = jnp.asarray(legs_q, jnp.float32)
+            legs_q = jnp.asarray(legs_q, jnp.float32)  # type: ignore[assignment]
             legs_v = jnp.asarray(qvel[:, : physics.NUM_V], jnp.float32)
             state, seen = after(state, legs_q, legs_v, stride)
             if full:

@@ -124,7 +124,7 @@ def constants_of(model: mujoco.MjModel) -> Constants:
         weight=weight,
         time_constant=float(max(solref[0], 2 * model.opt.timestep)),
         damp_ratio=float(solref[1]),
-        impedance=tuple(float(s) for s in solimp[:3]),
+        impedance=(float(solimp[0]), float(solimp[1]), float(solimp[2])),
     )
 
 
