@@ -150,7 +150,7 @@ def judge_full(stage, controller, config: Config) -> list[Row]:
         d_ball, d_obstacle = map(np.asarray, (run.observation.d_ball, run.observation.d_obstacle))
         parts = fitness.success(
             Outcome(
-                distance=d_ball[[s + 1 for s in steps]].T,
+                distance=d_ball[[s + 1 for s in steps]].T,  # type: ignore[arg-type]
                 v=run.command.v[steps].T,
                 omega=run.command.omega[steps].T,
                 clearance=d_obstacle.min(0),
