@@ -63,26 +63,25 @@ class TrainConfig:
 PRESETS = {
     # Faithful to the paper, Section "Genetic learning".
     "paper": TrainConfig(),
-    # Holds on scenes never seen in training; experiments/generalization.py compares the two.
+    # For scenes never seen in training.
     "robust": TrainConfig(
         suite="open:2,blocked:3",
-        num_scenes=48,
+        num_scenes=32,
         scene_pool=16384,
         objective="smooth",
-        generations=600,
+        generations=300,
         ga=GAConfig(
-            population=256,
+            population=512,
             gray=True,
             selection="tournament",
             tournament_size=4,
             num_islands=4,
-            merge=0.4,
+            merge=0.5,
             mutation_rate=0.02,
-            mutation_decay=0.15,
+            mutation_decay=0.2,
             crossover_rate=0.9,
             num_elites=2,
         ),
-        refine_steps=0,
     ),
 }
 
