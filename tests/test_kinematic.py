@@ -141,7 +141,9 @@ def test_latency_shows_the_past(latency):
     """After n steps the controller sees the truth of step n - latency (the start, before)."""
     _, seen, truth = driven(kinematic.make(latency=latency), scene(), 0.2, 0.3, 20)
     age = np.maximum(np.arange(21) - latency, 0)
-    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a, b[age]), seen, truth)
+    # Two compilations of the same measurement may round differently.
+    near = lambda a, b: np.testing.assert_allclose(a, b[age], atol=1e-6)  # noqa: E731
+    jax.tree.map(near, seen, truth)
 
 
 def test_noise_has_its_spread_and_follows_the_seed():

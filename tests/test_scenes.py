@@ -63,7 +63,7 @@ def test_same_key_same_scenes_other_key_others(name):
 def test_random_scenes_fill_what_they_may():
     """No corner is forgotten: places and headings span their ranges."""
     scene = draw("open")
-    span = HALF - 0.25
+    span = HALF - 0.30
     assert (np.ptp(scene.start[:, :2], axis=0) > 1.95 * span).all()
     assert np.ptp(scene.start[:, 2]) > 1.95 * np.pi
     assert (np.ptp(scene.ball, axis=0) > 1.9 * (HALF - 0.30)).all()
