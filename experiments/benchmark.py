@@ -51,6 +51,7 @@ def compare_flags(repeats: int) -> None:
     for _ in range(3):
         for flags, found in times.items():
             environment = {**os.environ, "FNTG_XLA_FLAGS": flags}
+            environment.pop("XLA_FLAGS", None)
             command = [sys.executable, __file__, "--only-run", "--repeats", str(repeats)]
             done = subprocess.run(
                 command, env=environment, capture_output=True, text=True, check=True
@@ -85,8 +86,8 @@ def first_figure(seeds: int) -> None:
 
 def main() -> None:
     options = tyro.cli(Options, description=__doc__, prog="experiments/benchmark.py")
-    xla.configure()
     if options.only_run:
+        xla.configure()
         print(*learning_run(options.repeats))
         return
     import jax
