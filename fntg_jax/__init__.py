@@ -62,6 +62,12 @@ def evaluate(
     return evaluation.evaluate(controller, settings.get_world(env), suite, scenes, seed)
 
 
+def shipped(name: str) -> Path:
+    """Path of a controller that comes with the package: "bioa", trained by
+    `fntg train --preset robust --seeds 4`."""
+    return Path(__file__).parent / "data" / f"{name}.json"
+
+
 def load(path: str | Path) -> "Controller":
     """A controller from params.json, an exported .fll, or a run folder.
 

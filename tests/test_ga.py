@@ -297,7 +297,8 @@ def test_floats_do_not_compile_twice():
 SEEDS = """
 import json, jax
 import numpy as np
-from fntg_jax.settings import TrainConfig, train
+from fntg_jax.runner import train
+from fntg_jax.settings import TrainConfig
 from fntg_jax.ga import GAConfig
 def result(first, seeds):
     config = TrainConfig(seeds=seeds, first_seed=first, generations=4, ga=GAConfig(population=6))

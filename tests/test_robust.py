@@ -1,0 +1,82 @@
+"""What the robust preset adds: islands, decaying mutation, smooth cost, the final choice."""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from fntg_jax import fitness, ga, genome, objective, runner, settings
+from fntg_jax.fitness import SmoothWeights
+from fntg_jax.rollout import Outcome
+
+
+def bred(progress, **options):
+    """A population of two islands, one all zeros and one all ones, after one reproduction."""
+    config = ga.GAConfig(population=40, num_islands=2, mutation_rate=0.0, num_elites=0, **options)
+    bits = jnp.repeat(jnp.asarray([False, True]), 20)[:, None] & jnp.ones((40, 60), bool)
+    return np.asarray(ga.reproduce(jax.random.key(0), bits, jnp.ones(40), config, progress))
+
+
+def test_islands_do_not_mix_until_they_merge():
+    apart = bred(0.4, merge=0.5)
+    assert not apart[:20].any() and apart[20:].all()
+    together = bred(0.6, merge=0.5)
+    assert together[:20].any() and not together[20:].all()
+
+
+def test_mutation_decays_geometrically():
+    config = ga.GAConfig(population=200, mutation_rate=0.2, mutation_decay=0.25, num_elites=0)
+    bits = jnp.zeros((200, 500), bool)
+    for progress, rate in ((0.0, 0.2), (0.5, 0.1), (1.0, 0.05)):
+        flipped = ga.reproduce(jax.random.key(1), bits, jnp.ones(200), config, progress).mean()
+        assert abs(flipped - rate) < 5 * math.sqrt(rate / 1e5)
+
+
+def outcome(d=0.0, v=0.0, clearance=1.0, failed=False):
+    three = lambda x: jnp.full(3, x)  # noqa: E731
+    return Outcome(three(d), three(v), three(0.0), *map(jnp.asarray, (clearance, 0.2, failed)))
+
+
+def test_smooth_cost_by_hand():
+    w = SmoothWeights()
+    assert fitness.smooth_cost(outcome()) == 0
+    far = 1.3 * math.log1p((1.0 / 0.05) ** 2)
+    np.testing.assert_allclose(fitness.smooth_cost(outcome(d=1.0)), far, rtol=1e-6)
+    moving = w.stop * math.log1p((0.1 / 0.015) ** 2)
+    np.testing.assert_allclose(fitness.smooth_cost(outcome(v=0.1)), moving, rtol=1e-6)
+    # The weight of clearance rises from its start to its end value over half of the run.
+    for progress, weight in ((0.0, 2.5), (0.25, math.sqrt(2.5 * 6)), (0.5, 6), (1.0, 6)):
+        cost = fitness.smooth_cost(outcome(clearance=0.065), w, progress)
+        np.testing.assert_allclose(cost, weight, rtol=1e-5)
+    # Arriving roughly beats standing still far away: no local optimum of doing nothing.
+    arrived = fitness.smooth_cost(outcome(d=0.05, clearance=0.05), w, 0.0)
+    assert 2 * arrived < fitness.smooth_cost(outcome(d=1.0), w, 0.0)
+    assert np.isfinite(fitness.smooth_cost(outcome(failed=True)))
+
+
+def test_the_final_controller_is_the_best_of_its_population_on_validation_scenes(monkeypatch):
+    monkeypatch.setattr(runner, "_VALIDATION", 64)
+    config = dataclasses.replace(
+        settings.PRESETS["robust"],
+        ga=dataclasses.replace(settings.PRESETS["robust"].ga, population=16),
+        generations=2,
+        num_scenes=4,
+        scene_pool=16,
+        seeds=2,
+        refine_steps=0,
+    )
+    run = runner.train(config)
+    result, again = run.conclude(), run.conclude()
+    np.testing.assert_array_equal(result.theta, again.theta)
+    scenes = settings.get_suite(run.world, config.suite)(
+        jax.random.key(runner._POOL_KEY + 1), runner._VALIDATION
+    )
+    static, traced = run.config_static(), run.traced()
+    value = jax.jit(lambda theta: objective.score(static, traced, theta, scenes))
+    for n in range(2):
+        theta = genome.decode(run.state.bits[n], 15, True)
+        scores = value(theta)
+        np.testing.assert_allclose(result.fitness[n], scores.max(), rtol=1e-4)
+        np.testing.assert_allclose(result.theta[n], theta[scores.argmax()], atol=1e-6)
