@@ -100,6 +100,11 @@ def validate(config: TrainConfig) -> None:
         value = getattr(config, name)
         if value < least:
             raise ValueError(f"{name} = {value}: allowed are whole numbers from {least}")
+    if config.first_seed + config.seeds > 2**32:
+        raise ValueError(
+            f"first_seed = {config.first_seed}: allowed are 0 to {2**32 - config.seeds} for "
+            f"{config.seeds} seeds"
+        )
     get_layout(config.layout)
     fntg.output_gains(fntg.Limits(), config.output)
     ga.validate(config.ga)

@@ -232,6 +232,7 @@ def refused(capsys, tmp_path, monkeypatch):
         (("--ga.selection", "lottery"), ("lottery", "roulette")),
         (("--generations", 0), ("generations", "0")),
         (("--seeds", -1), ("seeds", "-1")),
+        (("--first-seed", 2**32), ("first_seed", "4294967296")),
         (("--num-scenes", 0), ("num_scenes", "0")),
         (("--output", "tanh"), ("tanh", "scale", "clip")),
         (("--suite", "moon"), ("moon", "open")),
