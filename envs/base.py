@@ -8,7 +8,7 @@ Frames and signs: x forward, y left, angles counter-clockwise in (-pi, pi]; an a
 means "on the left".  SI units throughout.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from jaxtyping import Array, Bool, Float, Int
@@ -115,3 +115,16 @@ class World(NamedTuple):
     suites: dict[str, Callable[..., Scene]]
     mix: Callable[..., Callable[..., Scene]]
     field: Any
+
+
+def check_options(options: dict[str, float], known: Mapping[str, tuple[float, float]]) -> None:
+    """Refuse an option that a world does not know or whose value is out of range.
+
+    known: name -> (least, largest) value.  Raises ValueError: option, value, what is allowed.
+    """
+    for name, value in options.items():
+        if name not in known:
+            raise ValueError(f"env option {name!r}: known are {', '.join(known)}")
+        low, high = known[name]
+        if not low <= value <= high:
+            raise ValueError(f"env option {name} = {value}: allowed are {low} to {high}")

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from envs import scenes
-from envs.base import Limits, Observation, Scalar, Scene, Snapshot, World
+from envs.base import Limits, Observation, Scalar, Scene, Snapshot, World, check_options
 from envs.field import (
     FIELD,
     Ball,
@@ -237,13 +237,7 @@ def make(**options: float) -> Kinematic:
     actuation on); angle_noise, range_noise (sensing).  Raises ValueError naming the option, its
     value and the allowed range.
     """
-    known = {**_LIMITS, **_ACTUATION, **_SENSING, **_OTHER}
-    for name, value in options.items():
-        if name not in known:
-            raise ValueError(f"env option {name!r}: known are {', '.join(known)}")
-        low, high = known[name]
-        if not low <= value <= high:
-            raise ValueError(f"env option {name} = {value}: allowed are {low} to {high}")
+    check_options(options, {**_LIMITS, **_ACTUATION, **_SENSING, **_OTHER})
     if options.get("latency", 0) != int(options.get("latency", 0)):
         raise ValueError(f"env option latency = {options['latency']}: allowed are whole steps")
 

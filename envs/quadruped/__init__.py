@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 from envs import scenes
-from envs.base import Limits, World
+from envs.base import Limits, World, check_options
 from envs.field import FIELD
 
 # Option -> (least, largest) value.
@@ -23,13 +23,7 @@ def make(impl: str = "structured", **options: float) -> Any:
     impl: structured, jax or warp.  Raises ValueError naming the option, its value and the
     allowed range, and where MuJoCo is not installed.
     """
-    known = {**_LIMITS, **_OTHER}
-    for name, value in options.items():
-        if name not in known:
-            raise ValueError(f"env option {name!r}: known are {', '.join(known)}")
-        low, high = known[name]
-        if not low <= value <= high:
-            raise ValueError(f"env option {name} = {value}: allowed are {low} to {high}")
+    check_options(options, {**_LIMITS, **_OTHER})
     limits = Limits(**{name: options.pop(name) for name in _LIMITS if name in options})
     if limits.v_min >= limits.v_max:
         raise ValueError(f"env option v_min = {limits.v_min}: must be below v_max = {limits.v_max}")
