@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from fntg_jax import evaluation, export, fitness, fntg, ga, genome, xla
+from fntg_jax import evaluation, export, fitness, fntg, ga, genome, warmstart, xla
 from fntg_jax.layout import expand, get_layout
 from fntg_jax.rollout import Outcome, rollout_pairs
 from fntg_jax.settings import get_world
@@ -109,16 +109,6 @@ def evolve(env, world, layout, bits, config: ga.GAConfig, generations, num_scene
     return last[int(np.argmax(scores))]
 
 
-def neighbours(key, theta, size: int, spread: float = 0.15):
-    """A population around a controller: itself, and copies with Gaussian steps on a third of
-    their genes.  Bits [size, L]."""
-    k_step, k_which = jax.random.split(key)
-    shape = (size, len(theta))
-    step = spread * jax.random.normal(k_step, shape) * jax.random.bernoulli(k_which, 0.33, shape)
-    step = step.at[0].set(0)
-    return genome.encode(np.clip(np.asarray(theta + step), -5, 5))
-
-
 def judge(stage, controller, config: Config, worlds=("kinematic", "quadruped")) -> list[Row]:
     rows = []
     for name in worlds:
@@ -192,7 +182,7 @@ def run(config: Config) -> list[Row]:
         export.save(first, config.out / "kinematic.json")
     rows = judge("kinematic", first, config) + judge_full("kinematic", first, config)
     settings = dataclasses.replace(settings, population=config.fine_population)
-    start = neighbours(
+    start = warmstart.neighbours(
         jax.random.key(config.seed), jnp.asarray(first.theta, jnp.float32), config.fine_population
     )
     best = evolve(

@@ -38,10 +38,10 @@ def train(preset: str = "paper", out: str | Path | None = None, **options: Any) 
     for name, value in options.items():
         nested = isinstance(value, dict) and isinstance(values.get(name), dict)
         values[name] = {**values[name], **value} if nested else value
-    config = runfolder.config_from_dict(values)
+    run = runner.start(runfolder.config_from_dict(values))
     if out is not None:
-        runfolder.create(Path(out), config)
-    run = runner.train(config)
+        runfolder.create(Path(out), run.config)
+    runner.complete(run)
     if out is not None:
         runfolder.save_checkpoint(Path(out), run)
         runfolder.finish(Path(out), run)

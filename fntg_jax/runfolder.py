@@ -21,7 +21,7 @@ import numpy as np
 import fntg_jax
 from fntg_jax import export, fitness, fntg, ga, plots
 from fntg_jax.files import write_atomically
-from fntg_jax.runner import History, Result, Run, decode_history
+from fntg_jax.runner import History, Result, Run, decode_history, start
 from fntg_jax.settings import TrainConfig, validate
 
 _PACKAGES = ("fntg-jax", "jax", "jaxlib", "numpy", "optax", "mujoco", "mujoco-mjx", "brax")
@@ -95,14 +95,16 @@ def save_checkpoint(folder: Path, run: Run) -> None:
 
 def restore(folder: Path) -> Run:
     """The run of a folder, at its last checkpoint.  Raises ValueError as `load_config`."""
-    run = Run(load_config(folder))
+    config = load_config(folder)
     path = folder / "checkpoint.npz"
-    if path.exists():
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                run.from_arrays(dict(file))
-        except Exception as error:
-            raise ValueError(f"{path}: not a checkpoint of this run ({error})") from None
+    if not path.exists():
+        return start(config)
+    run = Run(config)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            run.from_arrays(dict(file))
+    except Exception as error:
+        raise ValueError(f"{path}: not a checkpoint of this run ({error})") from None
     return run
 
 
@@ -212,7 +214,7 @@ def controller_of_generation(folder: Path, generation: int) -> export.Controller
 def load_history(folder: Path) -> History:
     """The history of a completed or interrupted run.  Raises ValueError as `restore`."""
     run = restore(folder)
-    if not run.records:
+    if run.generation == 0:
         raise ValueError(f"{folder}: nothing recorded yet; continue it with --resume")
     return run.history()
 

@@ -1,8 +1,10 @@
 """The runner: evolution in jitted chunks, with progress, checkpoints and a run folder.
 
-All seeds advance together, one chunk of generations at a time.  A chunk is one compiled call:
-seeds are spread over the local devices and mapped one after the other on each, so memory does
-not grow with their number, and a seed's result does not depend on how many run beside it.
+All seeds advance together, one chunk of generations at a time: first a single one, then as many
+as take about a second.  One compiled call serves chunks of every length, and lengths change no
+result.  Seeds are spread over the local devices and mapped one after the other on each, so
+memory does not grow with their number, and a seed's result does not depend on how many run beside
+it.
 """
 
 import dataclasses
@@ -53,6 +55,8 @@ _POOL_KEY = 0x9001  # of the training scenes; the next of validation; evaluation
 _VALIDATION = 2048  # scenes that the final controller is chosen on
 _SCREENING = 256  # of them, for a first look at the whole population
 _FINALISTS = 16
+_MAX_CHUNK = 10  # generations
+_CHUNK_SECONDS = 1.0  # how long a chunk should take
 
 
 class Result(NamedTuple):
@@ -74,7 +78,7 @@ class Run:
     """Learning runs of one configuration: `compile`, then `advance` until `done`.
 
     The object only holds what must survive between chunks; the arithmetic is in pure
-    functions.
+    functions.  The first populations are random; `start` knows of others.
     """
 
     def __init__(self, config: TrainConfig):
@@ -87,7 +91,7 @@ class Run:
         self.scenes = get_suite(self.world, config.suite)(
             jax.random.key(_POOL_KEY), config.scene_pool or config.num_scenes
         )
-        self.chunk = chunk_length(config.generations)
+        self.chunk = 1
         devices = jax.local_devices()[: config.seeds]
         self.mesh = Mesh(np.asarray(devices), ("seed",))
         self.compile_seconds = 0.0
@@ -97,6 +101,7 @@ class Run:
             lambda s: ga.init(jax.random.key(s), self.layout.num_genes, config.ga)
         )(jnp.asarray(seeds, jnp.uint32))
         self.records: list[History] = []
+        self.origin = ""  # of the first populations, in words; "" if they are random
 
     def config_static(self) -> Static:
         c = self.config
@@ -135,22 +140,24 @@ class Run:
             partial(
                 _advance,
                 mesh=self.mesh,
-                num_generations=self.chunk,
                 make_fitness=partial(_make_fitness, self.config_static()),
             )
         )
         traced = self.traced()
-        compiled = advance.lower(self.state, traced).compile()
-        self._advance = lambda state: compiled(state, traced)
+        compiled = advance.lower(self.state, traced, jnp.int32(1)).compile()
+        self._advance = lambda state, num: compiled(state, traced, jnp.int32(num))
         self.compile_seconds += time.perf_counter() - start
         return time.perf_counter() - start
 
     def advance(self) -> Progress:
         """Run one chunk of generations, on all seeds."""
         start = time.perf_counter()
-        self.state, record = self._advance(self.state)
-        self.records.append(History(*(np.asarray(x)[: self.config.seeds] for x in record)))
-        self.run_seconds += time.perf_counter() - start
+        num = min(self.chunk, self.config.generations - self.generation)
+        self.state, record = self._advance(self.state, num)
+        self.records.append(History(*(np.asarray(x)[: self.config.seeds, :num] for x in record)))
+        seconds = time.perf_counter() - start
+        self.run_seconds += seconds
+        self.chunk = min(max(int(_CHUNK_SECONDS * num / seconds), 1), _MAX_CHUNK)
         return self.progress()
 
     def progress(self) -> Progress:
@@ -166,7 +173,10 @@ class Run:
 
     def history(self) -> History:
         """All records so far."""
-        return History(*(np.concatenate(x, axis=1) for x in zip(*self.records)))
+        length = self.state.bits.shape[-1]
+        none = np.zeros((self.config.seeds, 0), np.float32)
+        nothing = History(none, none, none.astype(np.int32), np.zeros((*none.shape, length), bool))
+        return History(*(np.concatenate(x, axis=1) for x in zip(nothing, *self.records)))
 
     def conclude(self) -> "Result":
         """The controller of each seed: see `Result`.  The same answer however often it is asked,
@@ -265,12 +275,6 @@ CHECKPOINT_ARRAYS = (
 )
 
 
-def chunk_length(generations: int) -> int:
-    """Generations a compiled call: the largest divisor up to 10, so that one compilation serves
-    all chunks and a resumed run repeats exactly the calls of an uninterrupted one."""
-    return max(n for n in range(1, 11) if generations % n == 0)
-
-
 def _make_fitness(static: Static, traced: Traced) -> ga.FitnessFn:
     def fitness_fn(key, theta, progress):
         return score(static, traced, theta, draw_scenes(static, traced, key), progress)
@@ -278,11 +282,23 @@ def _make_fitness(static: Static, traced: Traced) -> ga.FitnessFn:
     return fitness_fn
 
 
-def _advance(state, traced, *, mesh, num_generations, make_fitness):
-    """A chunk of generations for every seed; state leaves [S, ...], records [S, n, ...]."""
+def _advance(state, traced, num, *, mesh, make_fitness):
+    """`num` generations, at most `_MAX_CHUNK`, for every seed: state leaves [S, ...], records
+    [S, _MAX_CHUNK, ...], of which the first num are filled.
+
+    num is traced: the first generation can be shown alone without compiling twice.
+    """
+    fitness_fn = make_fitness(traced)
 
     def one_seed(seed_state):
-        return ga.evolve(seed_state, num_generations, make_fitness(traced), traced.ga)
+        def body(n, carry):
+            new, record = ga.generation(carry[0], fitness_fn, traced.ga)
+            return new, jax.tree.map(lambda xs, x: xs.at[n].set(x), carry[1], record)
+
+        zeros = jnp.zeros(_MAX_CHUNK)
+        genomes = jnp.zeros((_MAX_CHUNK, seed_state.bits.shape[-1]), bool)
+        records = ga.Record(zeros, zeros, zeros.astype(int), genomes)
+        return jax.lax.fori_loop(0, num, body, (seed_state, records))
 
     return _over_seeds(one_seed, mesh)(state)
 
@@ -336,11 +352,29 @@ def _over_seeds(fn, mesh):
     )
 
 
+def start(config: TrainConfig) -> Run:
+    """A run at generation 0, at random or from `config.warm_start`.  Raises ValueError (one line)
+    where that cannot be read or does not fit."""
+    run = Run(config)
+    if config.warm_start:
+        from fntg_jax import warmstart  # which reads run folders, and so imports this module
+
+        first = warmstart.start(config)
+        bits = jnp.concatenate([first.bits, run.state.bits[config.seeds :]])
+        run.state = run.state._replace(bits=bits)
+        run.origin = first.origin
+    return run
+
+
 def train(
     config: TrainConfig = TrainConfig(), on_progress: Callable[[Progress], None] | None = None
 ) -> Run:
     """Run to the end, in memory.  `fntg train` also writes a run folder."""
-    run = Run(config)
+    return complete(start(config), on_progress)
+
+
+def complete(run: Run, on_progress: Callable[[Progress], None] | None = None) -> Run:
+    """Run the rest of a run."""
     run.compile()
     while not run.done:
         progress = run.advance()

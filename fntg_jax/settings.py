@@ -33,6 +33,8 @@ class TrainConfig:
         seeds: number of independent runs.
         first_seed: seed of the first; the others follow.
         generations: populations evaluated.
+        warm_start: run folder (of any world) or parameter file with the same layout to start from
+            instead of random populations.
         ga: genetic algorithm.
         refine_steps: gradient steps after evolution; 0 for none.
         refine_rate: learning rate of the refinement (Adam, cosine decay), genes a step.
@@ -52,6 +54,7 @@ class TrainConfig:
     seeds: int = 1
     first_seed: int = 0
     generations: int = 95
+    warm_start: str = ""
     ga: GAConfig = GAConfig()
     refine_steps: int = 0
     refine_rate: float = 0.003

@@ -63,11 +63,17 @@ def main(argv: list[str]) -> None:
         stamp = time.strftime("%Y%m%d-%H%M%S")
         folder = options.out or Path("runs") / f"{preset}-{stamp}"
     xla.configure(num_cpu_devices=min(config.seeds, os.cpu_count() or 1))
-    from fntg_jax import runfolder
+    from fntg_jax import runfolder, runner
 
     if resume is None:
+        run = runner.start(config)
         runfolder.create(folder, config)
-    run = runfolder.restore(folder)
+        if config.warm_start:
+            # What it starts from may be gone when the run is resumed.
+            runfolder.save_checkpoint(folder, run)
+            say(f"starting from {run.origin}")
+    else:
+        run = runfolder.restore(folder)
     say(
         f"{config.seeds} run{'s' if config.seeds > 1 else ''} of {config.generations} generations, "
         f"{config.ga.population} genomes x {config.num_scenes} scenes, world {config.env}, "
