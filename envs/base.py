@@ -103,18 +103,42 @@ class Environment(Protocol[State]):
         ...
 
 
+class Film(Protocol):
+    """Recorded trials of a world that can draw itself.
+
+    measured: true observations, command: the controller's, leaves [steps + 1, trials] and
+    [steps, trials]; failed: [trials]; dt: s between pictures.
+    """
+
+    measured: Observation
+    command: Any
+    failed: Any
+    dt: float
+
+    def pictures(self, trial: int, width: int, height: int) -> list[Any]:
+        """Pictures of a trial, uint8 [height, width, 3]."""
+        ...
+
+    def view(self, trial: int) -> None:
+        """Play a trial in a window until that is closed."""
+        ...
+
+
 class World(NamedTuple):
     """What an entry point of the group "fntg_jax.worlds" names: a model and its scenes.
 
     make: options by name (floats) -> Environment; ValueError on an unknown name or value.
     suites: name -> (key, num_scenes) -> Scene.  mix: ((suite, share), ...) -> the same.
     field: anything with length, width, goal_width, goal_depth, ball_radius (m), for pictures.
+    film: (environment, batched scenes, observation -> command, whether in a window) -> Film, or
+    None; ValueError at once where nothing can be drawn.
     """
 
     make: Callable[..., Any]
     suites: dict[str, Callable[..., Scene]]
     mix: Callable[..., Callable[..., Scene]]
     field: Any
+    film: Callable[[Any, Scene, Callable[[Any], Any], bool], Film] | None = None
 
 
 def check_options(options: dict[str, float], known: Mapping[str, tuple[float, float]]) -> None:

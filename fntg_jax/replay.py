@@ -20,7 +20,7 @@ from fntg_jax import fitness, labels, layout, rules
 from fntg_jax.evaluation import environment_for, held_out_scenes
 from fntg_jax.export import Controller
 from fntg_jax.files import inert_json
-from fntg_jax.rollout import rollout, trajectory
+from fntg_jax.rollout import outcome_of, trajectory
 
 MAX_BYTES = 1_000_000  # of a page: it can be sent by mail
 ROBOT = (0.289, 0.152)  # m, length and width of the ERS-210
@@ -48,13 +48,13 @@ def record(
     stands still); signals, inputs and bars, each with its name and values.
     Raises ValueError on an unknown suite or a negative scene.
     """
-    if not indices or min(indices) < 0 or max(indices) > 100_000:
-        raise ValueError(f"scene = {list(indices)}: allowed are whole numbers from 0 to 100000")
+    check_scenes(indices)
     scenes = held_out_scenes(world, suite, max(indices) + 1, seed)
     scenes = jax.tree.map(lambda x: x[np.asarray(indices)], scenes)
     env = environment_for(controller, world)
     params = layout.expand(controller.layout, jnp.asarray(controller.theta, jnp.float32))
-    trials, outcomes = _record(params, scenes, env, controller.output)
+    trials = _record(params, scenes, env, controller.output)
+    outcomes = jax.vmap(outcome_of)(trials.measured, trials.command, trials.failed)
     strengths = np.asarray(rules.rule_strengths(controller, trials.observation))
     trials, outcomes = jax.tree.map(np.asarray, (trials, outcomes))
     names, _ = labels.describe_labels(controller, world.field)
@@ -65,7 +65,7 @@ def record(
             {
                 "title": title,
                 "scene": f"{suite} scene {index}",
-                "result": _result(outcome),
+                "result": describe_result(outcome),
                 "dt": controller.control_dt,
                 "field": {k: float(v) for k, v in world.field._asdict().items()},
                 "robot": _over_time(trial.snapshot.robot),
@@ -81,8 +81,13 @@ def record(
 
 @partial(jax.jit, static_argnames="output")
 def _record(params, scenes, env, output):
-    both = lambda s: (trajectory(params, s, env, output), rollout(params, s, env, output))  # noqa: E731
-    return jax.vmap(both)(scenes)
+    return jax.vmap(lambda s: trajectory(params, s, env, output))(scenes)
+
+
+def check_scenes(indices: tuple[int, ...]) -> None:
+    """Raises ValueError unless these are numbers of scenes."""
+    if not indices or min(indices) < 0 or max(indices) > 100_000:
+        raise ValueError(f"scene = {list(indices)}: allowed are whole numbers from 0 to 100000")
 
 
 def _over_time(values: np.ndarray) -> list:
@@ -91,15 +96,17 @@ def _over_time(values: np.ndarray) -> list:
     return (values[:1] if np.all(values == values[0]) else values).tolist()
 
 
-def _result(outcome: Any) -> str:
+def describe_result(outcome: Any) -> str:
+    """How a trial went, in words.  outcome: `rollout.Outcome` of one trial."""
     parts = fitness.success(outcome)
     distance, clearance = float(outcome.distance[1]), float(outcome.clearance)
     speed = float(np.mean(np.abs(outcome.v)))
+    near = "safe" if parts.safe else "fell" if outcome.failed else "too near an obstacle"
     return ", ".join(
         [
             f"{'success' if parts.success else 'no success'}: "
             f"ball {'reached' if parts.reach else 'not reached'} ({distance:.2f} m at step 200)",
-            f"{'safe' if parts.safe else 'too near an obstacle'} ({clearance:.2f} m at least)",
+            f"{near} ({clearance:.2f} m at least)",
             f"{'stopped' if parts.stop else 'not stopped'} ({speed:.3f} m/s)",
         ]
     )
@@ -190,18 +197,24 @@ def animation(panels: list[dict[str, Any]], image_format: str) -> bytes:
         for view in views:
             view.show(time)
         figure.canvas.draw()
-        frame = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy())
-        frames.append(frame.quantize(64) if image_format == "GIF" else frame)
+        frames.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()))
     import matplotlib.pyplot as plt
 
     plt.close(figure)
+    return encode(frames, dt * _STRIDE / SPEED, image_format)
+
+
+def encode(frames: list[Any], dt: float, image_format: str) -> bytes:
+    """PIL pictures as an endless animation, dt seconds each; image_format: GIF or WEBP."""
+    if image_format == "GIF":
+        frames = [frame.quantize(64) for frame in frames]
     out = io.BytesIO()
     frames[0].save(
         out,
         format=image_format,
         save_all=True,
         append_images=frames[1:],
-        duration=round(1000 * dt * _STRIDE / SPEED),
+        duration=round(1000 * dt),
         loop=0,
     )
     return out.getvalue()

@@ -104,13 +104,14 @@ class Trajectory(NamedTuple):
     """One trial step by step, [N + 1] states and the N commands between them.
 
     snapshot: the environment's positions; observation: what the controller saw; measured:
-    the truth; command: v (m/s), omega (rad/s) applied from each state on.
+    the truth; command: v (m/s), omega (rad/s) applied from each state on; failed: at the end.
     """
 
     snapshot: Any
     observation: Any
     measured: Any
     command: fntg.Command
+    failed: Bool[Array, ""]
 
 
 def trajectory(
@@ -132,4 +133,17 @@ def trajectory(
 
     state, (seen, commands) = jax.lax.scan(control_step, env.reset(scene), None, length=num_steps)
     seen = jax.tree.map(lambda xs, x: jnp.concatenate([xs, x[None]]), seen, look(state))
-    return Trajectory(seen[0], seen[1], seen[2], commands)
+    return Trajectory(seen[0], seen[1], seen[2], commands, env.failed(state))
+
+
+def outcome_of(measured: Any, command: Any, failed: Any) -> Outcome:
+    """What a recorded trial is judged by: measured [N + 1], command [N], failed at the end."""
+    after = np.asarray(SAMPLE_STEPS)
+    return Outcome(
+        distance=measured.d_ball[after],
+        v=command.v[after - 1],
+        omega=command.omega[after - 1],
+        clearance=jnp.min(measured.d_obstacle),
+        v_peak=jnp.max(command.v),
+        failed=failed,
+    )

@@ -3,11 +3,12 @@
 MuJoCo and MJX are imported when a world is made, not before.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 from envs import scenes
-from envs.base import Limits, World, check_options
+from envs.base import Film, Limits, Scene, World, check_options
 from envs.field import FIELD
 
 # Option -> (least, largest) value.
@@ -41,8 +42,14 @@ def make(impl: str = "structured", **options: float) -> Any:
     return Quadruped(limits=limits, solver=Solver(impl, _TIMESTEP, substeps), **options)  # type: ignore[arg-type]
 
 
+def _film(env: Any, batch: Scene, control: Callable[[Any], Any], window: bool) -> Film:
+    from envs.quadruped.render import FullFilm
+
+    return FullFilm(env, batch, control, window)
+
+
 def _world(impl: str) -> World:
-    return World(make=partial(make, impl), suites=scenes.SUITES, mix=scenes.Mix, field=FIELD)
+    return World(partial(make, impl), scenes.SUITES, scenes.Mix, FIELD, _film)
 
 
 world = _world("structured")

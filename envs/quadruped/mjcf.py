@@ -268,6 +268,7 @@ _LIGHT = """
            specular="0 0 0" castshadow="true"/>"""
 _LOOKS = """  <visual>
     <global offwidth="1280" offheight="960"/>
+    <quality shadowsize="1024" numslices="16" numstacks="8"/>
     <headlight ambient="0.45 0.45 0.45" diffuse="0.35 0.35 0.35" specular="0 0 0"/>
   </visual>
   <asset>

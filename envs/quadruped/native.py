@@ -27,7 +27,8 @@ class Episode(NamedTuple):
     """What happened, NumPy, leading axes [steps + 1, scenes] (command: [steps, scenes]).
 
     observation: true distances and angles; command: the controller's; qpos: coordinates of the
-    model's variant; ball: x, y (m); obstacles: x, y, radius (m); fallen.
+    model's variant; ball: x, y (m); obstacles: x, y, radius (m); fallen.  path: coordinates
+    between control steps, [steps, poses a step, scenes, coordinates].
     """
 
     observation: Observation
@@ -36,6 +37,7 @@ class Episode(NamedTuple):
     ball: np.ndarray
     obstacles: np.ndarray
     fallen: np.ndarray
+    path: np.ndarray
 
 
 def run(
@@ -45,9 +47,11 @@ def run(
     variant: str = mjcf.LEAN,
     num_steps: int = 220,
     num_threads: int = 2,
+    poses: int = 1,
 ) -> Episode:
     """Drive a batch of scenes.  control: observation (leaves [scenes]) -> command, jitted here.
 
+    poses: how many a control step are kept in `path`; a divisor of the solver's substeps.
     The full variant takes each obstacle's radius into the model, so that it is compiled once a
     scene.  A dog that has fallen goes on being simulated, but what is judged is the state from
     before the fall, as in the environment; numbers that blow up are caught.
@@ -68,9 +72,11 @@ def run(
         if scenes.ball_velocity is not None:
             qvel[:, physics.NUM_V + 5 : physics.NUM_V + 7] = scenes.ball_velocity
 
+    measure = jax.jit(jax.vmap(env.measure))
+
     @jax.jit
     def before(state):
-        seen = jax.vmap(env.measure)(state)
+        seen = measure(state)
         command = control(seen)
         wanted = jnp.stack([command.v, jnp.zeros_like(command.v), command.omega], axis=1)
         stride, targets = jax.vmap(env.targets)(state, wanted)
@@ -80,11 +86,12 @@ def run(
     def after(state, qpos, qvel, stride):
         turns = state.phase + env.dt / env.gait.period
         new = jax.vmap(env.accept)(state, qpos, qvel, turns - jnp.floor(turns), stride)
-        return new, jax.vmap(env.measure)(new)
+        return new, measure(new)
 
     size = mujoco.mj_stateSize(model, _PHYSICS)
-    seen, record = jax.vmap(env.measure)(state), []
-    commands = []
+    seen, record = measure(state), []
+    commands, paths = [], []
+    every = env.solver.substeps // poses
     with mujoco_rollout.Rollout(nthread=num_threads) as pool:
         for _ in range(num_steps):
             record.append(_row(seen, qpos, state))
@@ -104,6 +111,7 @@ def run(
             path, _ = pool.rollout(
                 models if full else model, datas, initial, inputs, control_spec=int(_INPUT)
             )
+            paths.append(path[:, every - 1 :: every, 1 : 1 + model.nq].swapaxes(0, 1))
             end = path[:, -1]
             qpos = end[:, 1 : 1 + model.nq].copy()
             qvel = end[:, 1 + model.nq : 1 + model.nq + model.nv].copy()
@@ -116,11 +124,11 @@ def run(
             if full:
                 x, y = jnp.asarray(qpos[:, ball : ball + 2].T, jnp.float32)
                 state = state._replace(ball=Ball(x, y))
-                seen = jax.vmap(env.measure)(state)
+                seen = measure(state)
     record.append(_row(seen, qpos, state))
     columns = [jax.tree.map(lambda *x: np.stack(x), *column) for column in zip(*record)]
     commands = jax.tree.map(lambda *x: np.stack(x), *commands)
-    return Episode(columns[0], commands, *columns[1:])
+    return Episode(columns[0], commands, *columns[1:], np.stack(paths))
 
 
 def _model(variant: str, env: Quadruped, scenes: Scene, n: int, num_obstacles: int):

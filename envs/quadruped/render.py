@@ -1,19 +1,58 @@
-"""Pictures of the dog: frames of an episode, as an animation and as key frames."""
+"""Pictures of the dog, drawn by MuJoCo: trials in the full model, as frames or in a window."""
 
+import importlib
 import os
+import platform
+import time
 import warnings
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
+import jax
 import mujoco
 import numpy as np
+from mujoco.rendering.classic import gl_context
 
-from envs.quadruped import mjcf, physics
+from envs.base import Scene
+from envs.quadruped import mjcf, native
 
-_NO_BACKEND = (
-    "MuJoCo cannot draw here: set MUJOCO_GL=egl (Debian: libegl1 libgl1-mesa-dri) or"
-    " MUJOCO_GL=osmesa (libosmesa6), before Python starts"
-)
+_FRAME_SECONDS = 0.05  # at most; a trot has three steps a second
+
+
+class FullFilm:
+    """Trials of a batch of scenes in the full model (contract: `envs.base.Film`).
+
+    control: observation -> command, jittable.  window: whether `view` will be called, or
+    `pictures`.  Raises ValueError where there is no display or no OpenGL back end.
+    """
+
+    def __init__(
+        self, env: Any, scenes: Scene, control: Callable[[Any], Any], window: bool = False
+    ):
+        if window:
+            _need_display()
+        else:
+            _renderer(scene_model(np.asarray(scenes.obstacles[0])), 16, 16).close()
+        substeps = env.solver.substeps
+        wanted = max(1, round(env.dt / _FRAME_SECONDS))
+        poses = max(n for n in range(1, wanted + 1) if substeps % n == 0)
+        run = native.run(env, scenes, jax.vmap(control), mjcf.FULL, poses=poses)
+        self.measured, self.command, self.failed = run.observation, run.command, run.fallen[-1]
+        self.dt = env.dt / poses
+        start = run.qpos[0]
+        self._qpos = np.concatenate([start[None], run.path.reshape(-1, *start.shape)])
+        # They move from control step to control step.
+        moved = np.repeat(run.obstacles[:-1], poses, axis=0)
+        self._obstacles = np.concatenate([run.obstacles[:1], moved])
+
+    def pictures(self, trial: int, width: int, height: int) -> list[np.ndarray]:
+        """Pictures of a trial, `dt` apart, uint8 [height, width, 3]; the camera stays with the
+        dog."""
+        return frames(self._qpos[:, trial], self._obstacles[:, trial], width, height)
+
+    def view(self, trial: int) -> None:
+        """Play a trial in MuJoCo's own viewer, over and over, until its window is closed."""
+        view(self._qpos[:, trial], self._obstacles[:, trial], self.dt)
 
 
 def scene_model(obstacles: np.ndarray) -> mujoco.MjModel:
@@ -26,47 +65,35 @@ def scene_model(obstacles: np.ndarray) -> mujoco.MjModel:
 
 
 def place(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    qpos: np.ndarray,
-    ball: np.ndarray,
-    obstacles: np.ndarray,
+    model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray, obstacles: np.ndarray
 ) -> None:
-    """Put dog (lean's 19 or full's coordinates), ball (x, y) and obstacles where they are."""
-    data.qpos[:] = model.qpos0
-    data.qpos[: len(qpos)] = qpos
-    if len(qpos) == physics.NUM_Q:
-        address = model.jnt_qposadr[model.joint("ball").id]
-        data.qpos[address : address + 2] = ball
+    """Put dog and ball (full's coordinates) and obstacles where they are."""
+    data.qpos[:] = qpos
     for k in range(len(obstacles)):
         data.mocap_pos[k, :2] = obstacles[k, :2]
     mujoco.mj_forward(model, data)
 
 
 def frames(
-    qpos: np.ndarray,
-    ball: np.ndarray,
-    obstacles: np.ndarray,
-    width: int = 480,
-    height: int = 360,
-    follow: bool = True,
+    qpos: np.ndarray, obstacles: np.ndarray, width: int = 400, height: int = 300
 ) -> list[np.ndarray]:
-    """Pictures [height, width, 3] of an episode's instants.
+    """Pictures uint8 [height, width, 3] of a trial's instants, by a camera beside the dog.
 
-    qpos: [N, 19 or more]; ball: [N, 2]; obstacles: [N, K, 3].  follow: the camera stays with the
-    dog; otherwise it shows the field.  Raises ValueError where no OpenGL back end works.
+    qpos: [N, full's coordinates]; obstacles: [N, K, 3].  Raises ValueError where no OpenGL back
+    end works.
     """
     model = scene_model(obstacles[0])
     data = mujoco.MjData(model)
     renderer = _renderer(model, height, width)
     camera = mujoco.MjvCamera()
-    view_from = (0.9, -20, 120) if follow else (3.4, -45, 90)
-    camera.distance, camera.elevation, camera.azimuth = view_from
+    # From above obstacles, and outwards from the field's middle: so little hides the dog.
+    camera.distance, camera.elevation = 1.1, -42
+    camera.azimuth = 120 if qpos[:, 1].mean() > 0 else -60
     pictures = []
     try:
         for n in range(len(qpos)):
-            place(model, data, qpos[n], ball[n], obstacles[n])
-            camera.lookat[:] = (*qpos[n, :2], 0.06) if follow else (0, -0.1, 0)
+            place(model, data, qpos[n], obstacles[n])
+            camera.lookat[:] = (*qpos[n, :2], 0.06)
             renderer.update_scene(data, camera)
             pictures.append(renderer.render().copy())
     finally:
@@ -75,48 +102,42 @@ def frames(
 
 
 def _renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
-    if os.environ.get("MUJOCO_GL", "") == "" and not os.environ.get("DISPLAY"):
-        raise ValueError(_NO_BACKEND)
     try:
+        if not os.environ.get("MUJOCO_GL") and _headless():
+            # MuJoCo chooses when it is imported, and without a display chooses wrongly.
+            os.environ["MUJOCO_GL"] = "egl"
+            importlib.reload(gl_context)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return mujoco.Renderer(model, height, width)
     # Each back end fails with errors of its own library.
     except Exception as error:
-        raise ValueError(f"{_NO_BACKEND} ({type(error).__name__}: {error})") from error
+        backend = os.environ.get("MUJOCO_GL", "its default for this display")
+        raise ValueError(
+            f"MuJoCo cannot draw here with {backend} ({type(error).__name__}: {error}): set"
+            " MUJOCO_GL=egl (Debian: libegl1 libgl1-mesa-dri) or MUJOCO_GL=osmesa (libosmesa6);"
+            " an .html replay needs neither"
+        ) from error
 
 
-def save(
-    pictures: list[np.ndarray], path: Path, dt: float = 0.1, num_key_frames: int = 6
-) -> list[Path]:
-    """Write an animation (GIF or WebP by the path's ending) and key frames PATH-key-N.png.
+def _headless() -> bool:
+    screens = ("DISPLAY", "WAYLAND_DISPLAY")
+    return platform.system() == "Linux" and not any(os.environ.get(s) for s in screens)
 
-    dt: seconds a frame.  Returns the files.  Raises ValueError for another ending.
+
+def _need_display() -> None:
+    if _headless():
+        raise ValueError(
+            "MuJoCo's viewer needs a display (neither DISPLAY nor WAYLAND_DISPLAY is set)"
+        )
+
+
+def view(qpos: np.ndarray, obstacles: np.ndarray, dt: float) -> None:
+    """Play a trial in MuJoCo's own viewer, over and over, until its window is closed.
+
+    dt: s a frame.  Raises ValueError where there is no display.
     """
-    from PIL import Image
-
-    if path.suffix not in (".gif", ".webp"):
-        raise ValueError(f"{path.name}: an animation is .gif or .webp")
-    images = [Image.fromarray(p) for p in pictures]
-    options: dict[str, Any] = {"save_all": True, "append_images": images[1:], "loop": 0}
-    images[0].save(path, duration=round(1000 * dt), **options)
-    written = [path]
-    for n, i in enumerate(np.linspace(0, len(images) - 1, num_key_frames).round().astype(int)):
-        key = path.with_name(f"{path.stem}-key-{n}.png")
-        images[i].save(key)
-        written.append(key)
-    return written
-
-
-def view(qpos: np.ndarray, ball: np.ndarray, obstacles: np.ndarray, dt: float = 0.1) -> None:
-    """Play an episode in MuJoCo's own viewer, over and over, until its window is closed.
-
-    Raises ValueError where there is no display.
-    """
-    import time
-
-    if not os.environ.get("DISPLAY") and os.name == "posix":
-        raise ValueError("MuJoCo's viewer needs a display (DISPLAY is not set)")
+    _need_display()
     import mujoco.viewer
 
     model = scene_model(obstacles[0])
@@ -124,43 +145,7 @@ def view(qpos: np.ndarray, ball: np.ndarray, obstacles: np.ndarray, dt: float = 
     with mujoco.viewer.launch_passive(model, data) as window:
         n = 0
         while window.is_running():
-            place(model, data, qpos[n], ball[n], obstacles[n])
+            place(model, data, qpos[n], obstacles[n])
             window.sync()
             time.sleep(dt)
             n = (n + 1) % len(qpos)
-
-
-def episode(env: Any, scene: Any, control: Any, num_steps: int = 220, substeps: bool = False):
-    """Record one trial for `frames`: (qpos [N, 19], ball [N, 2], obstacles [N, K, 3], seconds a
-    frame).
-
-    control: observation -> command, jittable.  substeps: every physics step instead of every
-    control step, for slow motion (ball and obstacles stay within a control step).
-    """
-    import jax
-    import jax.numpy as jnp
-
-    physics_step = physics.step_fn(env.solver)
-
-    def control_step(state, _):
-        command = control(env.observe(state))
-        seen = env.snapshot(state)
-        path = state.qpos[None]
-        if substeps:
-            wanted = jnp.stack([command.v, jnp.zeros_like(command.v), command.omega])
-            _, targets = env.targets(state, wanted)
-
-            def substep(carry, ctrl):
-                return physics_step(*carry, ctrl), carry[0]
-
-            _, path = jax.lax.scan(substep, (state.qpos, state.qvel), targets)
-        return env.step(state, command), (path, seen.ball, seen.obstacles)
-
-    @jax.jit
-    def record(env, scene):
-        return jax.lax.scan(control_step, env.reset(scene), None, length=num_steps)[1]
-
-    path, ball, obstacles = jax.tree.map(np.asarray, record(env, scene))
-    times = path.shape[1]
-    qpos = path.reshape(-1, path.shape[-1])
-    return qpos, np.repeat(ball, times, 0), np.repeat(obstacles, times, 0), env.dt / times

@@ -3,7 +3,7 @@
 import dataclasses
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -13,9 +13,10 @@ from fntg_jax.cli import load_controller, parse, say
 
 @dataclasses.dataclass(frozen=True)
 class ReplayOptions:
-    """Trials from above, to scale, side by side: every controller on every scene.  An .html file
-    is one page without any network, with memberships and rules over time and keys to step
-    through it; .gif and .webp are pictures that run at four times the robot's speed."""
+    """Trials side by side: every controller on every scene.  An .html file is one page without any
+    network: the field from above, with memberships and rules over time and keys to step through
+    it.  .gif and .webp are pictures: from above, at four times the robot's speed, or of a walking
+    robot, drawn by MuJoCo in real time with six key frames as PNG."""
 
     controllers: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """params.json, exported .fll, or run folders."""
@@ -30,8 +31,10 @@ class ReplayOptions:
     generations: tuple[int, ...] = ()
     """of a run folder: the best controllers of these generations (e.g. 1 95) instead of the best
     of the run."""
-    env: str = "kinematic"
-    """world, by its entry point name."""
+    env: str = ""
+    """world, by its entry point name; without it each controller's own."""
+    view: bool = False
+    """play one trial of a walking robot in MuJoCo's viewer instead, which needs a display."""
 
 
 def main(argv: list[str]) -> None:
@@ -42,10 +45,8 @@ def main(argv: list[str]) -> None:
     if not options.controllers:
         raise ValueError("no controller given: name a params.json or a run folder")
     xla.configure()
-    from fntg_jax import replay, runfolder, settings
-    from fntg_jax.files import write_atomically
+    from fntg_jax import runfolder, settings
 
-    world = settings.get_world(options.env)
     titled = []
     for path in options.controllers:
         folder = os.path.isdir(path)
@@ -56,24 +57,83 @@ def main(argv: list[str]) -> None:
             ]
         else:
             titled.append((path.name if folder else str(path), load_controller(path)))
-    num = len(titled) * len(options.scene)
-    if num > 24:
-        raise ValueError(f"{num} trials: allowed are up to 24")
-    recorded = [
-        replay.record(title, controller, world, options.suite, options.scene, options.seed)
+    trials = [
+        (title, controller, settings.get_world(options.env or _own_world(controller)))
         for title, controller in titled
     ]
-    # A scene's controllers stand side by side.
-    panels = [panel for scene in zip(*recorded) for panel in scene]
+    num = len(trials) * len(options.scene)
+    if num > 24:
+        raise ValueError(f"{num} trials: allowed are up to 24")
+    # A world need not be able to draw itself.
+    films = all(getattr(world, "film", None) for _, _, world in trials)
+    if options.view:
+        _view(trials, options, films)
+    elif films and suffix != ".html":
+        _film(trials, options)
+    else:
+        _draw(trials, options)
+
+
+def _own_world(controller: Any) -> str:
+    """Where it was trained; for controllers that do not say so, the paper's world."""
+    env = controller.provenance.get("env")
+    return env if isinstance(env, str) else "kinematic"
+
+
+def _recorded(record: Any, trials: Any, options: ReplayOptions, **more: Any) -> list:
+    """Of every scene all controllers, so that they stand side by side."""
+    each = [record(*trial, options.suite, options.scene, options.seed, **more) for trial in trials]
+    return [one for scene in zip(*each) for one in scene]
+
+
+def _draw(trials: Any, options: ReplayOptions) -> None:
+    """From above: a page, or a picture."""
+    from fntg_jax import replay
+
+    panels = _recorded(replay.record, trials, options)
+    suffix = options.out.suffix.lower()
     if suffix == ".html":
-        data = replay.page(panels, f"Replay: {' | '.join(t for t, _ in titled)}").encode()
+        title = f"Replay: {' | '.join(title for title, _, _ in trials)}"
+        data = replay.page(panels, title).encode()
     else:
         data = replay.animation(panels, suffix[1:].upper())
-    try:
-        write_atomically(options.out, data)
-    except OSError as error:
-        raise ValueError(f"out = {options.out}: {error.strerror or error}") from None
     for panel in panels:
         say(f"{panel['title']}, {panel['scene']}: {panel['result']}")
-    say(f"{len(data)} bytes")
-    print(options.out)
+    _write({options.out: data})
+
+
+def _film(trials: Any, options: ReplayOptions) -> None:
+    """By the world itself: a picture and its key frames."""
+    from fntg_jax import film
+
+    say("simulating and drawing ...")
+    shots = _recorded(film.shoot, trials, options)
+    data, keys = film.animation(shots, options.out.suffix[1:].upper())
+    for shot in shots:
+        say(f"{shot.title}, {shot.scene}: {shot.result}")
+    stem = options.out.with_suffix("")
+    _write({options.out: data} | {Path(f"{stem}-key-{n}.png"): k for n, k in enumerate(keys)})
+
+
+def _view(trials: Any, options: ReplayOptions, films: bool) -> None:
+    if not films:
+        raise ValueError("view: only worlds with a walking robot have a viewer (env = quadruped)")
+    if len(trials) * len(options.scene) > 1:
+        raise ValueError("view: name one controller and one scene")
+    from fntg_jax import film
+
+    (shot,) = _recorded(film.shoot, trials, options, window=True)
+    say(f"{shot.title}, {shot.scene}: {shot.result}")
+    shot.view()
+
+
+def _write(files: dict[Path, bytes]) -> None:
+    from fntg_jax.files import write_atomically
+
+    for path, data in files.items():
+        try:
+            write_atomically(path, data)
+        except OSError as error:
+            raise ValueError(f"out = {path}: {error.strerror or error}") from None
+        say(f"{len(data)} bytes: {path}")
+    print(next(iter(files)))
