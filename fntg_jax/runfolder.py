@@ -102,7 +102,11 @@ def restore(folder: Path) -> Run:
     run = Run(config)
     try:
         with np.load(path, allow_pickle=False) as file:
-            run.from_arrays(dict(file))
+            arrays = dict(file)
+        run.from_arrays(arrays)
+        # Compared as configurations: options that came later have their defaults.
+        if config_from_dict(json.loads(str(arrays["config"]))) != config:
+            raise ValueError("it was written by a run of another configuration")
     except Exception as error:
         raise ValueError(f"{path}: not a checkpoint of this run ({error})") from None
     return run

@@ -128,7 +128,8 @@ def run(
     record.append(_row(seen, qpos, state))
     columns = [jax.tree.map(lambda *x: np.stack(x), *column) for column in zip(*record)]
     commands = jax.tree.map(lambda *x: np.stack(x), *commands)
-    return Episode(columns[0], commands, *columns[1:], path=np.stack(paths))
+    seen, qpos, balls, obstacles, fallen = columns
+    return Episode(seen, commands, qpos, balls, obstacles, fallen, np.stack(paths))
 
 
 def _model(variant: str, env: Quadruped, scenes: Scene, n: int, num_obstacles: int):
