@@ -1,9 +1,12 @@
 """From the kinematic world into physics: train in one, judge in both, fine-tune in physics.
 
     python -m experiments.transfer --out runs/transfer
+    python -m experiments.transfer --controller kinematic.json --out runs/transfer
 
 Writes transfer.csv (success on the suites, every stage in every world, with Wilson 95 %
-intervals) and the two controllers.  Each controller learns on freshly drawn scenes, half of
+intervals), the two controllers, and failures.png: the trials in the full model that each stage
+failed.  A controller of your own must know the capture point (`fntg train --env-options capture
+0.145`).  Each controller learns on freshly drawn scenes, half of
 them with an obstacle in the way; fitness is the geometric mean of the trials' F, so that one
 perfect trial does not outweigh many bad ones.
 """
@@ -20,9 +23,11 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from fntg_jax import evaluation, export, fitness, fntg, ga, genome, warmstart, xla
+import fntg_jax
+from fntg_jax import evaluation, export, fitness, fntg, ga, genome, plots, warmstart, xla
+from fntg_jax.cli import refuse
 from fntg_jax.layout import expand, get_layout
-from fntg_jax.rollout import Outcome, rollout_pairs
+from fntg_jax.rollout import Outcome, outcome_of, rollout_pairs
 from fntg_jax.settings import get_world
 
 MIX = (("open", 0.5), ("blocked", 0.5))
@@ -38,7 +43,8 @@ class Config:
 
     Attributes:
         out: folder of the results.
-        controller: parameter file to start from instead of training in the kinematic world.
+        controller: parameter file or run folder to start from, instead of training in the
+            kinematic world.
         layout: gene table of the controller that is trained.
         population, generations, num_scenes: of the kinematic stage.
         fine_population, fine_generations, fine_scenes: of the stage in physics.
@@ -80,12 +86,25 @@ def geometric_fitness(outcome: Outcome) -> Any:
     return jnp.exp(jnp.mean(jnp.log(per_trial), axis=1))
 
 
-def evolve(env, world, layout, bits, config: ga.GAConfig, generations, num_scenes, seed, name):
+class Failure(NamedTuple):
+    """A failed trial: what it was and why, its course [steps + 1, 2 or 3], and the obstacles."""
+
+    title: str
+    robot: np.ndarray
+    ball: np.ndarray
+    obstacles: np.ndarray
+
+
+def evolve(
+    env, world, layout, bits, config: ga.GAConfig, generations, num_scenes, seed, name, output
+):
     """The best of the last generations' champions, compared on eight more draws of scenes."""
     mix = world.mix(MIX)
 
     def fitness_fn(key, theta, progress=0.0, *, env):
-        return geometric_fitness(rollout_pairs(layout, theta, mix(key, num_scenes), env))
+        return geometric_fitness(
+            rollout_pairs(layout, theta, mix(key, num_scenes), env, output=output)
+        )
 
     @jax.jit
     def advance(state, env):
@@ -124,35 +143,76 @@ def judge(stage, controller, config: Config, worlds=("kinematic", "quadruped")) 
     return rows
 
 
-def judge_full(stage, controller, config: Config) -> list[Row]:
+def judge_full(stage, controller, config: Config) -> tuple[list[Row], list[Failure]]:
     """The full model in MuJoCo's C code: the ball can be pushed, everything touches."""
     from envs.quadruped import native
+    from envs.quadruped.environment import heading
 
     world = get_world("quadruped")
     env = evaluation.environment_for(controller, world)
     params = expand(controller.layout, jnp.asarray(controller.theta, jnp.float32))
     control = jax.vmap(lambda seen: fntg.command(params, seen, env.limits, controller.output))
-    rows = []
+    rows, failures = [], []
     for suite in ("open", "blocked"):
         scenes = evaluation.held_out_scenes(world, suite, config.full_scenes)
         run = native.run(env, scenes, control, "full")
-        steps = [169, 199, 219]
-        d_ball, d_obstacle = map(np.asarray, (run.observation.d_ball, run.observation.d_obstacle))
-        parts = fitness.success(
-            Outcome(
-                distance=d_ball[[s + 1 for s in steps]].T,  # type: ignore[arg-type]
-                v=run.command.v[steps].T,
-                omega=run.command.omega[steps].T,
-                clearance=d_obstacle.min(0),
-                v_peak=run.command.v.max(0),
-                failed=run.fallen[-1],
-            )
-        )
-        rate = evaluation.wilson(int(np.sum(parts.success)), config.full_scenes)
+        judged = jax.vmap(outcome_of, in_axes=(1, 1, 0))
+        outcome = jax.tree.map(np.asarray, judged(run.observation, run.command, run.fallen[-1]))
+        parts = fitness.success(outcome)
+        good = np.asarray(parts.success)
+        rate = evaluation.wilson(int(good.sum()), config.full_scenes)
         shares = [float(np.mean(getattr(parts, p))) for p in ("reach", "safe", "stop")]
         rows.append(Row(stage, "full", suite, config.full_scenes, *rate, *shares))
         _say(rows[-1])
-    return rows
+        for n in np.flatnonzero(~good):
+            why = [
+                f"{outcome.distance[n, 1]:.2f} m from the ball" * (not parts.reach[n]),
+                f"{outcome.clearance[n]:.2f} m from an obstacle"
+                * bool(outcome.clearance[n] < fitness.CLEARANCE),
+                "fell" * bool(outcome.failed[n]),
+                f"{np.abs(outcome.v[n]).mean():.2f} m/s at the end" * (not parts.stop[n]),
+            ]
+            qpos = run.qpos[:, n]
+            course = np.arctan2(*np.stack(jax.vmap(heading)(jnp.asarray(qpos)))[::-1])
+            failures.append(
+                Failure(
+                    f"{stage}, {suite} {n}\n{', '.join(filter(None, why))}",
+                    np.column_stack([qpos[:, :2], course]),
+                    run.ball[:, n],
+                    run.obstacles[0, n],
+                )
+            )
+    return rows, failures
+
+
+def draw_failures(failures: list[Failure], path: Path, most: int = 24) -> None:
+    """The failed trials from above: start (dot and arrow), path of the dog's centre to its end
+    (square), obstacles with the ring it must stay out of, and the ball's way to its end (star)."""
+    from matplotlib.patches import Circle
+
+    shown = failures[:most]
+    columns = min(len(shown), 4)
+    num_rows = -(-len(shown) // columns)
+    figure, axes = plots.new_grid(num_rows, columns, 3.2 * columns, 2.6 * num_rows)
+    for axis in axes.flat:
+        axis.set_axis_off()
+    for axis, trial in zip(axes.flat, shown):
+        plots.draw_field(axis, get_world("quadruped").field)
+        for x, y, radius in trial.obstacles:
+            axis.add_patch(Circle((x, y), radius, color="0.45"))
+            ring = Circle((x, y), radius + fitness.CLEARANCE, fill=False, color="0.45", ls=":")
+            axis.add_patch(ring)
+        x, y, angle = trial.robot[0]
+        axis.arrow(x, y, 0.15 * np.cos(angle), 0.15 * np.sin(angle), width=0.015, color=plots.BLUE)
+        axis.plot(*trial.robot[:, :2].T, color=plots.BLUE, linewidth=1.4)
+        axis.plot(*trial.robot[0, :2], "o", color=plots.BLUE, markersize=4)
+        axis.plot(*trial.robot[-1, :2], "s", color=plots.BLUE, markersize=4)
+        axis.plot(*trial.ball.T, color=plots.ORANGE, linewidth=1)
+        axis.plot(*trial.ball[-1], "*", color=plots.ORANGE, markersize=8, zorder=5)
+        axis.set_title(trial.title, fontsize=7, loc="left")
+    more = f", {most} of them shown" if len(failures) > most else ""
+    figure.suptitle(f"{len(failures)} failed trials in the full model{more}", fontsize=9)
+    plots.save(figure, path)
 
 
 def _say(row: Row) -> None:
@@ -164,45 +224,55 @@ def _say(row: Row) -> None:
     )
 
 
-def run(config: Config) -> list[Row]:
+def run(config: Config) -> tuple[list[Row], list[Failure]]:
     """Train (or load), judge, fine-tune in physics, judge again."""
+    first = None if config.controller is None else fntg_jax.load(config.controller)
     config.out.mkdir(parents=True, exist_ok=True)
     kinematic, physics = get_world("kinematic"), get_world("quadruped")
     settings = ga.GAConfig(population=config.population, selection="rank", mutation_rate=0.004)
-    if config.controller is not None:
-        first = export.load(config.controller)
-        layout = first.layout
-    else:
+    if first is None:
         layout = get_layout(config.layout)
         best = evolve(
             kinematic.make(capture=CAPTURE), kinematic, layout, None, settings,
-            config.generations, config.num_scenes, config.seed, "kinematic",
+            config.generations, config.num_scenes, config.seed, "kinematic", "scale",
         )  # fmt: skip
         first = export.from_bits(layout, np.asarray(best))
         export.save(first, config.out / "kinematic.json")
-    rows = judge("kinematic", first, config) + judge_full("kinematic", first, config)
+    rows = judge("kinematic", first, config)
+    full, failures = judge_full("kinematic", first, config)
     settings = dataclasses.replace(settings, population=config.fine_population)
     start = warmstart.neighbours(
         jax.random.key(config.seed), jnp.asarray(first.theta, jnp.float32), config.fine_population
     )
     best = evolve(
-        evaluation.environment_for(first, physics), physics, layout, start, settings,
-        config.fine_generations, config.fine_scenes, config.seed + 10, "physics",
+        evaluation.environment_for(first, physics), physics, first.layout, start, settings,
+        config.fine_generations, config.fine_scenes, config.seed + 10, "physics", first.output,
     )  # fmt: skip
-    tuned = export.from_bits(layout, np.asarray(best), limits=first.limits, output=first.output)
+    tuned = export.from_bits(
+        first.layout, np.asarray(best), limits=first.limits, output=first.output
+    )
     export.save(tuned, config.out / "fine-tuned.json")
-    rows += judge("fine-tuned", tuned, config) + judge_full("fine-tuned", tuned, config)
-    with (config.out / "transfer.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(Row._fields)
-        writer.writerows(rows)
-    return rows
+    rows += full + judge("fine-tuned", tuned, config)
+    full, more = judge_full("fine-tuned", tuned, config)
+    return rows + full, failures + more
 
 
 def main(argv: list[str] | None = None) -> None:
     config = tyro.cli(Config, args=argv)
     xla.configure()
-    run(config)
+    try:
+        rows, failures = run(config)
+        with (config.out / "transfer.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(Row._fields)
+            writer.writerows(rows)
+        if failures:
+            draw_failures(failures, config.out / "failures.png")
+            print(config.out / "failures.png")
+    except ValueError as error:
+        refuse(str(error))
+    except OSError as error:
+        refuse(f"out = {config.out}: {error.strerror or error}")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 python -m experiments.tune_gait evolve --out gait.json     about two minutes on two cores
 python -m experiments.tune_gait evolve --goal speed --out fast.json
-python -m experiments.tune_gait table [--gait gait.json] [--csv table.csv]
+python -m experiments.tune_gait table [--gait gait.json] [--csv table.csv] [--variant full]
 python -m experiments.tune_gait speed [--gait gait.json]   forward speed against command
 python -m experiments.tune_gait falls [--gait gait.json]   100 random command sequences
 """
@@ -73,32 +73,62 @@ class Track(NamedTuple):
 def walk(env, commands) -> Track:
     """Drive the dog with commands [n, 3] from a stand at the field's centre."""
     from envs.base import Scene
-    from envs.quadruped.environment import heading
 
     zero = jnp.zeros(3)
     start = env.reset(Scene(zero, zero[:2], jnp.zeros((0, 3))))
 
     def control_step(state, u):
         new = env.step(state, Walk(u[0], u[2], u[1]))
-        (c0, s0), (c1, s1) = heading(state.qpos), heading(new.qpos)
-        turn = jnp.arcsin(jnp.clip(c0 * s1 - s0 * c1, -1, 1))
-        dx, dy = new.qpos[0] - state.qpos[0], new.qpos[1] - state.qpos[1]
-        c, s = c0 + c1, s0 + s1  # along the middle of both headings
-        norm = jnp.maximum(jnp.hypot(c, s), 1e-6)
-        moved = jnp.stack([c * dx + s * dy, c * dy - s * dx]) / norm
-        return new, (moved, turn, 1 - 2 * jnp.sum(new.qpos[4:6] ** 2), jnp.abs(new.qvel[6:]).max())
+        return new, (new.qpos, jnp.abs(new.qvel[6:]).max())
 
-    state, (moved, turn, upright, speed) = jax.lax.scan(control_step, start, commands)
-    moved, turn = moved[SETTLE:], turn[SETTLE:]
-    velocity = jnp.append(jnp.mean(moved, 0), jnp.mean(turn)) / env.dt
-    course = jnp.cumsum(turn - jnp.mean(turn))
-    return Track(velocity, state.fallen, jnp.std(course), jnp.min(upright), jnp.max(speed))
+    state, (path, speed) = jax.lax.scan(control_step, start, commands)
+    return track(jnp.concatenate([start.qpos[None], path]), state.fallen, jnp.max(speed), env.dt)
+
+
+def track(path, fallen, joint_speed, dt) -> Track:
+    """What a walk came to.  path: the dog's coordinates [steps + 1, 19 or more], dt (s) apart."""
+    from envs.quadruped.environment import heading
+
+    c, s = map(jnp.asarray, jax.vmap(heading)(path))
+    turn = jnp.arcsin(jnp.clip(c[:-1] * s[1:] - s[:-1] * c[1:], -1, 1))
+    dx, dy = jnp.diff(path[:, 0]), jnp.diff(path[:, 1])
+    c, s = c[:-1] + c[1:], s[:-1] + s[1:]  # along the middle of both headings
+    norm = jnp.maximum(jnp.hypot(c, s), 1e-6)
+    moved = jnp.stack([c * dx + s * dy, c * dy - s * dx]) / norm
+    moved, turn = moved[:, SETTLE:], turn[SETTLE:]
+    velocity = jnp.append(jnp.mean(moved, 1), jnp.mean(turn)) / dt
+    swing = jnp.std(jnp.cumsum(turn - jnp.mean(turn)))
+    upright = jnp.min(1 - 2 * jnp.sum(path[1:, 4:6] ** 2, axis=1))
+    return Track(velocity, fallen, swing, upright, joint_speed)
 
 
 def steady(env, commands=COMMANDS) -> Track:
     """One walk for every command, held all the time.  Leaves [commands]."""
     held = jnp.repeat(jnp.asarray(commands)[:, None], SETTLE + MEASURE, axis=1)
     return jax.vmap(partial(walk, env))(held)
+
+
+def steady_full(env) -> Track:
+    """`steady` of all `COMMANDS` in the full model, in MuJoCo's C code: joint limits, a head and a
+    tail that move, everything touches.  Joint speeds are not recorded (NaN)."""
+    from envs.base import Scene
+    from envs.quadruped import native
+
+    num, steps = len(COMMANDS), SETTLE + MEASURE
+    # Start so that the walk stays in the middle of the field, clear of walls and ball.
+    angle = COMMANDS[:, 2:] * env.dt * np.arange(steps)
+    v_x, v_y = COMMANDS[:, :1], COMMANDS[:, 1:2]
+    ahead = np.stack([v_x * np.cos(angle) - v_y * np.sin(angle), v_x * np.sin(angle)], -1)
+    ahead[..., 1] += v_y * np.cos(angle)
+    ideal = np.cumsum(ahead * env.dt, axis=1)
+    start = np.zeros((num, 3), np.float32)
+    start[:, :2] = -0.5 * (ideal.min(1) + ideal.max(1))
+    ball = np.tile(np.array([1.2, 0.75], np.float32), (num, 1))
+    scenes = Scene(start, ball, np.zeros((num, 0, 3), np.float32), seed=np.zeros(num, int))  # type: ignore[arg-type]
+    held = Walk(*jnp.asarray(COMMANDS[:, [0, 2, 1]]).T)
+    run = native.run(env, scenes, lambda seen: held, "full", num_steps=steps)
+    path = jnp.asarray(run.qpos.swapaxes(0, 1), jnp.float32)
+    return jax.vmap(partial(track, joint_speed=jnp.nan, dt=env.dt))(path, run.fallen[-1])
 
 
 def random_sequences(key, num: int, num_steps: int):
@@ -114,9 +144,9 @@ def falls(env, key, num: int = 100, num_steps: int = 220) -> Track:
     return jax.vmap(partial(walk, env))(random_sequences(key, num, num_steps))
 
 
-def errors(track: Track, commands) -> tuple[Any, Any]:
+def errors(walks: Track, commands) -> tuple[Any, Any]:
     """Errors of velocity (m/s, both axes together) and of turning (rad/s), [commands]."""
-    off = track.velocity - commands
+    off = walks.velocity - commands
     return jnp.hypot(off[..., 0], off[..., 1]), jnp.abs(off[..., 2])
 
 
@@ -131,9 +161,9 @@ def tracking_fitness(env, key, theta):
     """10 / (0.1 + cost): errors in units of the tolerances 0.01 m/s and 0.05 rad/s, swing of
     the heading in units of 0.03 rad, a fall 20.  A few jumping commands guard against falls."""
     own = dataclasses.replace(env, gait=gait_of(env.gait, theta))
-    track = steady(own)
-    v, omega = errors(track, COMMANDS)
-    cost = jnp.mean(v / 0.01 + omega / 0.05 + track.swing / 0.03 + 20.0 * track.fallen)
+    walks = steady(own)
+    v, omega = errors(walks, COMMANDS)
+    cost = jnp.mean(v / 0.01 + omega / 0.05 + walks.swing / 0.03 + 20.0 * walks.fallen)
     jumpy = falls(own, key, 6, SETTLE + MEASURE)
     cost += jnp.mean(20.0 * jumpy.fallen + 10 * jax.nn.relu(0.95 - jumpy.upright))
     return 10 / (0.1 + cost)
@@ -144,9 +174,9 @@ def speed_fitness(env, key, theta):
     its course and does not fall."""
     own = dataclasses.replace(env, gait=gait_of(env.gait, theta))
     commands = jnp.asarray([[v, 0, 0] for v in (0.3, 0.4, 0.5, 0.6, 0.7)])
-    track = steady(own, commands)
-    good = ~track.fallen & (jnp.abs(track.velocity[:, 2]) < 0.2)
-    return 10 * jnp.max(jnp.where(good, jnp.maximum(track.velocity[:, 0], 0), 0.0))
+    walks = steady(own, commands)
+    good = ~walks.fallen & (jnp.abs(walks.velocity[:, 2]) < 0.2)
+    return 10 * jnp.max(jnp.where(good, jnp.maximum(walks.velocity[:, 0], 0), 0.0))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,6 +189,7 @@ class Config:
         gait: gait to start from or to look at; default the shipped one.
         out: where the evolved gait goes.
         csv: where the table goes, too.
+        variant: model that the table is of.
         population, generations, seed: of the genetic algorithm.
     """
 
@@ -167,6 +198,7 @@ class Config:
     gait: Path | None = None
     out: Path = Path("gait.json")
     csv: Path | None = None
+    variant: Literal["lean", "full"] = "lean"
     population: int = 40
     generations: int = 40
     seed: int = 0
@@ -192,17 +224,17 @@ def run(config: Config, env) -> tuple[ga.State, ga.Record]:
     return state, jax.tree.map(lambda *x: np.stack(x), *records)
 
 
-def table(env) -> list[dict[str, float]]:
+def table(env, variant: str = "lean") -> list[dict[str, float]]:
     """Commanded against achieved, one row a command."""
-    track = jax.jit(steady)(env)
-    v, omega = errors(track, COMMANDS)
+    walks = steady_full(env) if variant == "full" else jax.jit(steady)(env)
+    v, omega = errors(walks, COMMANDS)
     rows = []
     for i, (vx, vy, w) in enumerate(COMMANDS.tolist()):
-        got = [float(x) for x in track.velocity[i]]
+        got = [float(x) for x in walks.velocity[i]]
         rows.append(
             {"v_x": vx, "v_y": vy, "omega": w, "got_v_x": got[0], "got_v_y": got[1]}
             | {"got_omega": got[2], "v_error": float(v[i]), "omega_error": float(omega[i])}
-            | {"heading_swing": float(track.swing[i]), "fell": int(track.fallen[i])}
+            | {"heading_swing": float(walks.swing[i]), "fell": int(walks.fallen[i])}
         )
     return [{k: round(x, 4) for k, x in row.items()} for row in rows]
 
@@ -226,7 +258,7 @@ def main(argv: list[str] | None = None) -> None:
         config.out.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
         print(f"fitness {float(state.best_fitness):.3f}, written to {config.out}")
     elif config.what == "table":
-        rows = table(env)
+        rows = table(env, config.variant)
         print(" ".join(f"{k:>13s}" for k in rows[0]))
         for row in rows:
             print(" ".join(f"{x:13.4g}" for x in row.values()))
@@ -239,17 +271,17 @@ def main(argv: list[str] | None = None) -> None:
                 writer.writerows(rows)
     elif config.what == "speed":
         commands = np.array([[v, 0, 0] for v in np.arange(0.10, 0.81, 0.05)], np.float32)
-        track = jax.jit(steady)(env, commands)
+        walks = jax.jit(steady)(env, commands)
         for command, got, fell, joint in zip(
-            commands, track.velocity, track.fallen, track.joint_speed
+            commands, walks.velocity, walks.fallen, walks.joint_speed
         ):
             print(
                 f"{command[0]:.2f} m/s: v_x {got[0]:.3f} v_y {got[1]:.3f} m/s, omega {got[2]:.3f}"
                 f" rad/s, joints up to {joint:.1f} rad/s{', fell' if fell else ''}"
             )
     else:
-        track = jax.jit(falls)(env, jax.random.key(config.seed))
-        print(f"{int(track.fallen.sum())} falls in {track.fallen.shape[0]} sequences of 22 s")
+        fallen = jax.jit(falls)(env, jax.random.key(config.seed)).fallen
+        print(f"{int(fallen.sum())} falls in {fallen.shape[0]} sequences of 22 s")
 
 
 if __name__ == "__main__":

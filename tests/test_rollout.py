@@ -8,7 +8,7 @@ import pytest
 from envs import kinematic, scenes
 from fntg_jax import fitness, fntg
 from fntg_jax.layout import LAYOUTS, expand_scalars
-from fntg_jax.rollout import SAMPLE_STEPS, rollout, rollout_pairs, trajectory
+from fntg_jax.rollout import SAMPLE_STEPS, outcome_of, rollout, rollout_pairs, trajectory
 from tests import reference
 from tests.examples import document, random_thetas
 
@@ -114,6 +114,8 @@ def test_outcome_is_what_the_trajectory_shows(single):
     close(alone.omega, path.command.omega[..., after - 1])
     close(alone.clearance, path.measured.d_obstacle.min(-1))
     close(alone.v_peak, path.command.v.max(-1))
+    judged = jax.vmap(jax.vmap(outcome_of))(path.measured, path.command, path.failed)
+    jax.tree.map(close, alone, judged)
     moved = np.linalg.norm(np.diff(path.snapshot.robot[..., :2], axis=-2), axis=-1)
     close(moved, path.command.v * 0.1 * np.sinc(path.command.omega * 0.05 / np.pi))
 

@@ -78,7 +78,8 @@ def run(
     def before(state):
         seen = measure(state)
         command = control(seen)
-        wanted = jnp.stack([command.v, jnp.zeros_like(command.v), command.omega], axis=1)
+        v_y = getattr(command, "v_y", jnp.zeros_like(command.v))
+        wanted = jnp.stack([command.v, v_y, command.omega], axis=1)
         stride, targets = jax.vmap(env.targets)(state, wanted)
         return seen, command, stride, targets
 
