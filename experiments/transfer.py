@@ -167,16 +167,16 @@ def judge_full(stage, controller, config: Config) -> tuple[list[Row], list[Failu
         for n in np.flatnonzero(~good):
             why = [
                 f"{outcome.distance[n, 1]:.2f} m from the ball" * (not parts.reach[n]),
-                f"{outcome.clearance[n]:.2f} m from an obstacle"
+                f"{outcome.clearance[n]:.2f} m from an obstacle or wall"
                 * bool(outcome.clearance[n] < fitness.CLEARANCE),
                 "fell" * bool(outcome.failed[n]),
-                f"{np.abs(outcome.v[n]).mean():.2f} m/s at the end" * (not parts.stop[n]),
+                f"{np.abs(outcome.v[n]).mean():.3f} m/s at the end" * (not parts.stop[n]),
             ]
             qpos = run.qpos[:, n]
             course = np.arctan2(*np.stack(jax.vmap(heading)(jnp.asarray(qpos)))[::-1])
             failures.append(
                 Failure(
-                    f"{stage}, {suite} {n}\n{', '.join(filter(None, why))}",
+                    f"{stage}, {suite} {n}\n{chr(10).join(filter(None, why))}",
                     np.column_stack([qpos[:, :2], course]),
                     run.ball[:, n],
                     run.obstacles[0, n],

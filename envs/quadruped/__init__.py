@@ -3,6 +3,7 @@
 MuJoCo and MJX are imported when a world is made, not before.
 """
 
+import os
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -39,6 +40,13 @@ def make(impl: str = "structured", **options: float) -> Any:
         if not (error.name or "").startswith("mujoco"):
             raise
         raise ValueError("the quadruped needs MuJoCo: pip install 'fntg-jax[mjx]'") from error
+    # MuJoCo loads its OpenGL back end when it is imported; each fails with errors of its own.
+    except (AttributeError, OSError, RuntimeError) as error:
+        chosen = os.environ.get("MUJOCO_GL", "")
+        raise ValueError(
+            f"MUJOCO_GL = {chosen!r}: MuJoCo does not start with it ({error}); unset it, or set egl"
+            " (Debian: libegl1 libgl1-mesa-dri) or osmesa (libosmesa6)"
+        ) from error
     return Quadruped(limits=limits, solver=Solver(impl, _TIMESTEP, substeps), **options)  # type: ignore[arg-type]
 
 

@@ -84,3 +84,14 @@ def test_a_film_is_a_walk_in_the_full_model(monkeypatch):
     # 0.2 m/s for the first three seconds, before anything is in the way.
     steps = np.linalg.norm(dog[60] - dog[20], axis=-1) / 2
     np.testing.assert_allclose(steps, 0.2, atol=0.02)
+
+
+def test_a_back_end_that_does_not_load_is_one_line(python):
+    code = """
+from fntg_jax.settings import get_world
+try:
+    get_world("quadruped").make()
+except ValueError as error:
+    print(error)
+"""
+    assert python(code, MUJOCO_GL="bogus").startswith("MUJOCO_GL = 'bogus': MuJoCo does not start")
