@@ -124,10 +124,11 @@ def _learn(run: Any, folder: Path) -> None:
         with _progress_bar(run) as show:
             saved = time.monotonic()
             while not run.done and not wanted:
-                show(run.advance())
+                progress = run.advance()
                 if time.monotonic() - saved > _CHECKPOINT_SECONDS or run.done or wanted:
                     runfolder.save_checkpoint(folder, run)
                     saved = time.monotonic()
+                show(progress)
     except OSError as error:
         raise ValueError(f"{folder}: {error.strerror or error}") from None
     finally:
@@ -146,10 +147,11 @@ _STOP = (signal.SIGINT, signal.SIGTERM)
 
 @contextlib.contextmanager
 def _progress_bar(run: Any):
-    """A callable that shows a `runner.Progress`: a bar on a terminal, ten lines otherwise."""
+    """A callable that shows a `runner.Progress`: a bar on a terminal; otherwise the first
+    generation and ten lines."""
     total = run.config.generations
     if not sys.stderr.isatty():
-        shown = [run.generation * 10 // total]
+        shown = [-1]
 
         def line(p):
             if p.generation * 10 // total > shown[0]:
