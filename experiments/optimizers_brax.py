@@ -5,7 +5,9 @@ its scenes.  At a checkpoint brax's own evaluator runs the unseen scenes.
 """
 
 import statistics
+import traceback
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -76,7 +78,7 @@ def _trainer(name: str, env: Any, budget: int, seed: int, checkpoints: int, leng
             "fitness_shaping": train.FitnessShaping.CENTERED_RANK,
         }
         if name == "brax-es-mlp":
-            options = {
+            options: dict[str, Any] = {
                 "learning_rate": 0.01,
                 "perturbation_std": 0.05,
                 "normalize_observations": True,
@@ -134,6 +136,10 @@ def train(name: str, task: Task, seed: int, budget: int, checkpoints: int):
             eval_env=eval_env, num_eval_envs=2 * task.eval_scenes, progress_fn=progress_fn
         )
     except (AttributeError, TypeError, NotImplementedError) as error:
+        # brax's own call must have failed: mistakes of ours are not to pass for its.
+        files = [Path(frame.filename) for frame in traceback.extract_tb(error.__traceback__)]
+        if "brax" not in [f.parts for f in files if "jax" not in f.parts][-1]:
+            raise
         text = " ".join(str(error).split())
         raise LeftOut(
             f"{name}: brax {brax.__version__} with jax {jax.__version__}: "

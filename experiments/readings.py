@@ -318,8 +318,9 @@ def plot(results: list[Result], path: Path) -> Path:
         )
         for r in results:
             rows = zip(r.default, r.own, r.least, r.lost, r.v_end, *r.success.T)
-            for seed, row in enumerate(rows):
-                file.write(f"{r.reading.name},{seed}," + ",".join(f"{x:.9g}" for x in row) + "\n")
+            for seed, numbers in enumerate(rows):
+                cells = [r.reading.name, str(seed), *(f"{x:.9g}" for x in numbers)]
+                file.write(",".join(cells) + "\n")
     return path
 
 
