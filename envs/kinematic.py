@@ -37,14 +37,18 @@ def _traced(cls):
 
 @_traced
 class Actuation:
-    """How the body follows a command: limited acceleration, then a first-order lag.
+    """How the body follows a command: limited speed and acceleration, a first-order lag, slip.
 
-    v_rate: m/s^2; omega_rate: rad/s^2; lag: time constant in s, 0 for none.
+    v_rate: m/s^2; omega_rate: rad/s^2; lag: time constant in s, 0 for none.  v_top: m/s, the
+    fastest it goes, whatever is commanded.  slip: v and omega miss by this share (standard
+    deviation), drawn anew each control step from the scene's seed.
     """
 
     v_rate: Scalar = 0.5
     omega_rate: Scalar = 6.0
     lag: Scalar = 0.1
+    v_top: Scalar | None = None
+    slip: Scalar | None = None
 
 
 @_traced
@@ -52,11 +56,16 @@ class Sensing:
     """Sensor noise, drawn anew each control step from the scene's seed.
 
     angle_noise: standard deviation in rad; range_noise: standard deviation as a share of the
-    distance.  Defaults: about what was published for the AIBO's camera.
+    distance.  Defaults: about what was published for the AIBO's camera.  dropout: probability
+    that a frame is lost; the last one stays.  view: horizontal opening of the camera in rad; of a
+    ball outside of it, distance and direction stay as last seen (obstacles are remembered in the
+    robot's map).  Both start from the truth.
     """
 
     angle_noise: Scalar = 0.035
     range_noise: Scalar = 0.07
+    dropout: Scalar | None = None
+    view: Scalar | None = None
 
 
 class State(NamedTuple):
@@ -70,8 +79,9 @@ class State(NamedTuple):
     discs: tuple[Disc, ...]
     velocity: tuple[Scalar, Scalar] | None  # v, omega of the body, with `Actuation` only
     past: tuple[Observation, ...]  # measurements still on their way, oldest first
-    seed: Any  # with `Sensing` only
-    time: Any  # control steps so far, with `Sensing` only
+    seen: Observation | None  # the last frame, where frames can be lost or the ball out of view
+    seed: Any  # where something is random
+    time: Any  # control steps so far, where something is random
 
 
 @_traced
@@ -113,21 +123,38 @@ class Kinematic:
             discs=discs,
             velocity=None if self.actuation is None else (jnp.zeros_like(x), jnp.zeros_like(x)),
             past=(),
-            seed=None if self.sensing is None else jnp.asarray(scene.seed, jnp.uint32),
-            time=None if self.sensing is None else jnp.zeros_like(scene.seed, jnp.uint32),
+            seen=None,
+            seed=jnp.asarray(scene.seed, jnp.uint32) if self._random else None,
+            time=jnp.zeros_like(scene.seed, jnp.uint32) if self._random else None,
         )
-        return state._replace(past=(self.measure(state),) * self.latency)
+        truth = self.measure(state)
+        s = self.sensing
+        memory = s is not None and not (s.dropout is None and s.view is None)
+        return state._replace(past=(truth,) * self.latency, seen=truth if memory else None)
+
+    @property
+    def _random(self) -> bool:
+        slips = self.actuation is not None and self.actuation.slip is not None
+        return slips or self.sensing is not None
 
     def step(self, state: State, command: Any) -> State:
         """Advance one control step: body velocity, exact arc, ball and obstacles."""
         v, omega = command.v, command.omega
         velocity = state.velocity
         if self.actuation is not None and velocity is not None:
+            if self.actuation.v_top is not None:
+                v = jnp.clip(v, -self.actuation.v_top, self.actuation.v_top)
             velocity = (
                 self._follow(velocity[0], v, self.actuation.v_rate),
                 self._follow(velocity[1], omega, self.actuation.omega_rate),
             )
             v, omega = velocity
+            if self.actuation.slip is not None:
+                noise = jax.random.normal(
+                    jax.random.fold_in(_key(state), 2), (2,), jnp.result_type(v)
+                )
+                v = v * (1 + self.actuation.slip * noise[0])
+                omega = omega * (1 + self.actuation.slip * noise[1])
         x, y, cos, sin = _arc(state.x, state.y, state.cos, state.sin, v * self.dt, omega * self.dt)
         new = state._replace(
             x=x,
@@ -137,6 +164,7 @@ class Kinematic:
             velocity=velocity,
             ball=roll_ball(state.ball, self.dt, self.ball_deceleration, self.field),
             discs=tuple(move_disc(d, self.dt, self.field) for d in state.discs),
+            seen=None if state.seen is None else self.observe(state),
             time=None if state.time is None else state.time + 1,
         )
         if state.past:
@@ -167,19 +195,31 @@ class Kinematic:
         return distance(c * bx + s * by - self.capture, c * by - s * bx)
 
     def observe(self, state: State) -> Observation:
-        """What the controller sees: `measure`, delayed by `latency` steps and noisy."""
+        """What the controller sees: `measure`, delayed by `latency` steps, noisy, and where frames
+        are lost or the ball is out of view, what was seen last."""
         seen = state.past[0] if state.past else self.measure(state)
         if self.sensing is None:
             return seen
-        key = jax.random.fold_in(jax.random.key(state.seed), state.time)
+        key = _key(state)
         noise = jax.random.normal(key, (4,), jnp.result_type(seen.d_ball))
         far, turn = self.sensing.range_noise, self.sensing.angle_noise
-        return Observation(
+        frame = Observation(
             d_ball=seen.d_ball * (1 + far * noise[0]),
             d_obstacle=seen.d_obstacle * (1 + far * noise[1]),
             theta_ball=_wrap(seen.theta_ball + turn * noise[2]),
             theta_obstacle=_wrap(seen.theta_obstacle + turn * noise[3]),
         )
+        last = state.seen
+        if last is not None and self.sensing.view is not None:
+            visible = jnp.abs(seen.theta_ball) <= 0.5 * self.sensing.view
+            frame = frame._replace(
+                d_ball=jnp.where(visible, frame.d_ball, last.d_ball),
+                theta_ball=jnp.where(visible, frame.theta_ball, last.theta_ball),
+            )
+        if last is not None and self.sensing.dropout is not None:
+            lost = jax.random.uniform(jax.random.fold_in(key, 1)) < self.sensing.dropout
+            frame = jax.tree.map(lambda old, new: jnp.where(lost, old, new), last, frame)
+        return frame
 
     def failed(self, state: State) -> Bool[Array, ""]:
         """A unicycle never falls."""
@@ -194,6 +234,11 @@ class Kinematic:
             if state.discs
             else jnp.zeros((0, 3), jnp.result_type(state.x)),
         )
+
+
+def _key(state: State) -> Any:
+    """The key of this control step."""
+    return jax.random.fold_in(jax.random.key(state.seed), state.time)
 
 
 def _arc(x, y, cos, sin, length, turn):
@@ -226,16 +271,22 @@ def _wrap(angle: Scalar) -> Scalar:
 
 # Option -> (least, largest) value.  Parts of the model are switched on by naming one of theirs.
 _LIMITS = {"v_min": (-1, 1), "v_max": (0.001, 1), "omega_max": (0.01, 10)}
-_ACTUATION = {"v_rate": (0.001, 100), "omega_rate": (0.01, 1000), "lag": (0, 10)}
-_SENSING = {"angle_noise": (0, 3.2), "range_noise": (0, 1)}
+_ACTUATION = {
+    "v_rate": (0.001, 100),
+    "omega_rate": (0.01, 1000),
+    "lag": (0, 10),
+    "v_top": (0.001, 1),
+    "slip": (0, 1),
+}
+_SENSING = {"angle_noise": (0, 3.2), "range_noise": (0, 1), "dropout": (0, 1), "view": (0.01, 6.3)}
 _OTHER = {"dt": (0.001, 1), "ball_deceleration": (0, 10), "latency": (0, 100), "capture": (0, 0.5)}
 
 
 def make(**options: float) -> Kinematic:
     """A `Kinematic` from flat options by name: dt, latency (steps), capture (m),
-    ball_deceleration; v_min, v_max, omega_max; v_rate, omega_rate, lag (any of them switches
-    actuation on); angle_noise, range_noise (sensing).  Raises ValueError naming the option, its
-    value and the allowed range.
+    ball_deceleration; v_min, v_max, omega_max; v_rate, omega_rate, lag, v_top, slip (any of them
+    switches actuation on); angle_noise, range_noise, dropout, view (sensing).  Raises ValueError
+    naming the option, its value and the allowed range.
     """
     check_options(options, {**_LIMITS, **_ACTUATION, **_SENSING, **_OTHER})
     if options.get("latency", 0) != int(options.get("latency", 0)):

@@ -172,6 +172,44 @@ def test_noisy_angles_stay_wrapped():
     assert (angles < -2).any()
 
 
+QUIET = {"angle_noise": 0.0, "range_noise": 0.0}
+EXACT = {"v_rate": 100.0, "omega_rate": 1000.0, "lag": 0.0}
+
+
+def test_a_lost_frame_repeats_the_last_one():
+    _, seen, truth = driven(kinematic.make(dropout=1, **QUIET), scene(), 0.2, 0.0, 20)
+    np.testing.assert_array_equal(seen.d_ball, np.full(21, truth.d_ball[0]))
+    env = kinematic.make(dropout=0.3, **QUIET)
+    _, seen, truth = driven(env, scene(seed=3), 0.001, 0.0, 1000)
+    d_ball = np.asarray(seen.d_ball)
+    # Two compilations of the same frame may round differently; a step is 9e-5 m.
+    repeated = np.abs(np.diff(d_ball)) < 1e-5
+    assert abs(repeated.mean() - 0.3) < 5 * math.sqrt(0.21 / 1000)
+    np.testing.assert_allclose(d_ball[1:][~repeated], truth.d_ball[1:][~repeated], atol=1e-6)
+
+
+def test_a_ball_out_of_view_stays_where_it_was_seen_last():
+    # The robot turns on the spot, once around; obstacles are seen all the time.
+    env = kinematic.make(view=1.0, **QUIET)
+    _, seen, truth = driven(env, scene(ball=(1.0, 0.0)), 0.0, 0.5, 126)
+    visible = np.abs(truth.theta_ball) < 0.5
+    assert 10 < visible.sum() < 40
+    np.testing.assert_allclose(seen.theta_ball[visible], truth.theta_ball[visible], atol=1e-6)
+    last = float(truth.theta_ball[:60][visible[:60]][-1])
+    np.testing.assert_allclose(seen.theta_ball[30:100], last, atol=1e-6)
+    np.testing.assert_allclose(seen.theta_obstacle, truth.theta_obstacle, atol=1e-6)
+
+
+def test_slip_has_its_spread_and_a_body_its_top_speed():
+    v, _ = speeds(kinematic.make(slip=0.2, **EXACT), 0.2, 0.0, 1000)
+    np.testing.assert_allclose(v.mean(), 0.2, atol=5 * 0.04 / math.sqrt(1000))
+    np.testing.assert_allclose(v.std(), 0.04, rtol=0.15)
+    v, _ = speeds(kinematic.make(v_top=0.05, **EXACT), 0.2, 0.0, 5)
+    np.testing.assert_allclose(v, 0.05, rtol=1e-3)
+    v, _ = speeds(kinematic.make(slip=0.0, **EXACT), 0.2, 0.0, 5)
+    np.testing.assert_allclose(v, 0.2, rtol=1e-3)
+
+
 def test_ball_and_obstacles_move_as_the_reference_says():
     where = scene(
         ball_velocity=jnp.asarray([0.25, 0.2]), obstacle_velocity=jnp.asarray([[0.1, -0.05]])
@@ -218,6 +256,7 @@ def test_mirrored_scenes_give_mirrored_paths():
         ({"dt": 0.0}, r"dt = 0.0.*0.001 to 1"),
         ({"dt": math.nan}, r"dt = nan"),
         ({"lag": -1}, r"lag = -1.*0 to 10"),
+        ({"dropout": 1.5}, r"dropout = 1.5.*0 to 1"),
         ({"latency": 1.5}, r"latency = 1.5.*whole"),
         ({"v_min": 0.3}, r"v_min = 0.3.*v_max = 0.2"),
         ({"speed": 1}, r"'speed'.*dt"),

@@ -1,0 +1,283 @@
+"""Optimisers of the FNTG's genes, on one footing: our genetic algorithm, gradients, evosax.
+
+A `Search` is a start and an iteration; every iteration draws scenes anew from one pool and uses the
+smooth objective.  Each names a champion; at a checkpoint the last 16 champions (for a
+distribution also its mean) meet on validation scenes, and the best goes to the unseen ones.  That
+choice costs no budget, for anyone.
+"""
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterator
+from functools import cached_property, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from fntg_jax import evaluation, fitness, ga, genome, refine
+from fntg_jax.fitness import PaperWeights, SmoothWeights
+from fntg_jax.layout import HIGH, LOW, get_layout
+from fntg_jax.objective import Static, Traced, draw_scenes, score
+from fntg_jax.rollout import rollout_pairs
+from fntg_jax.settings import PRESETS, get_suite, get_world
+
+SUITES = ("open", "blocked")
+STEPS = 220  # control steps a trial
+_CHAMPIONS = 16
+_VALIDATION = 1024  # scenes
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """What everyone learns and is judged on: the scenes and the objective of the preset robust.
+
+    pool: training scenes; eval_scenes: unseen scenes a suite; num_scenes: trials of an individual.
+    """
+
+    pool: int = 16384
+    eval_scenes: int = 1000
+    num_scenes: int = 32
+
+    @cached_property
+    def world(self) -> Any:
+        return get_world("kinematic")
+
+    @cached_property
+    def static(self) -> Static:
+        return Static(get_layout("paper-31"), "scale", "smooth", self.num_scenes, fresh=True)
+
+    @cached_property
+    def traced(self) -> Traced:
+        scenes = get_suite(self.world, PRESETS["robust"].suite)(jax.random.key(1), self.pool)
+        env = self.world.make()
+        return Traced(ga.GAConfig(), env, PaperWeights(), SmoothWeights(), scenes)
+
+    @cached_property
+    def held_out(self) -> list[Any]:
+        return [evaluation.held_out_scenes(self.world, s, self.eval_scenes) for s in SUITES]
+
+    @cached_property
+    def validation(self) -> Any:
+        return get_suite(self.world, PRESETS["robust"].suite)(jax.random.key(2), _VALIDATION)
+
+    @cached_property
+    def _choose(self) -> Callable[..., Any]:
+        @jax.jit
+        def choose(theta, validation, held_out, traced):
+            value = score(self.static, traced, theta, validation)
+            order = jnp.argsort(jnp.where(jnp.isfinite(value), -value, jnp.inf))
+            best = theta[order[:1]]
+            success = [
+                jnp.mean(
+                    fitness.success(rollout_pairs(self.static.layout, best, s, traced.env)).success
+                )
+                for s in held_out
+            ]
+            return theta[order], jnp.stack(success)
+
+        return choose
+
+    def choose(self, theta: Any) -> tuple[Any, np.ndarray]:
+        """theta, best validated first; success of the best on the unseen suites."""
+        ordered, success = self._choose(theta, self.validation, self.held_out, self.traced)
+        return ordered, np.asarray(success)
+
+
+class Checkpoint(NamedTuple):
+    """Control steps and seconds spent so far (without compilation), success by suite."""
+
+    control_steps: int
+    seconds: float
+    success: Any  # [suite]
+
+
+class Search(NamedTuple):
+    """start: (key, theta of an earlier phase or None) -> state.  iterate: (key, state, progress,
+    iterations, cost_fn, draw) -> state, champion [genes]; iterations: of the whole phase.  mean:
+    state -> theta [n, genes], further candidates.  steps: (num_scenes) -> control steps an
+    iteration."""
+
+    start: Callable[..., Any]
+    iterate: Callable[..., Any]
+    mean: Callable[[Any], Any]
+    steps: Callable[[int], int]
+
+
+def genetic(config: ga.GAConfig) -> Search:
+    """Our genetic algorithm."""
+
+    def start(key, theta):
+        del theta
+        return ga.init(key, 31, config)
+
+    def iterate(key, state, progress, iterations, cost_fn, draw):
+        del key, progress  # it draws its own, and decay and merge go by generation / horizon
+
+        def fitness_fn(key, theta, progress):
+            return 10 / (0.1 + cost_fn(theta, draw(key), progress))
+
+        now = dataclasses.replace(config, horizon=float(iterations))
+        state, record = ga.generation(state, fitness_fn, now)
+        return state, genome.decode(record.best_bits, config.num_bits, config.gray)
+
+    return Search(
+        start, iterate, lambda state: jnp.zeros((0, 31)), lambda n: config.population * n * STEPS
+    )
+
+
+def gradient(num_starts: int, rate: float) -> Search:
+    """Adam through the roll-out, from random starts or from the best of an earlier phase.
+
+    An iteration costs three control steps for one: forward, forward again (checkpointing), and
+    backward.
+    """
+
+    def start(key, theta):
+        if theta is None:
+            theta = jax.random.uniform(key, (num_starts, 31), minval=LOW, maxval=HIGH)
+        # The state does not depend on the length of the schedule.
+        return theta[:num_starts], refine.adam(1, rate).init(theta[:num_starts])
+
+    def iterate(key, state, progress, iterations, cost_fn, draw):
+        theta, moments = state
+        scenes = draw(key)
+
+        def cost(t):
+            return cost_fn(t[None], scenes, progress, checkpoint=True)[0]
+
+        value, slope = jax.vmap(jax.value_and_grad(cost))(theta)
+        slope = jnp.where(jnp.all(jnp.isfinite(slope), axis=1, keepdims=True), slope, 0)
+        # Each start has its own clipping: one steep one must not stop the rest.
+        norm = jnp.maximum(jnp.linalg.norm(slope, axis=1, keepdims=True), 1.0)
+        updates, moments = refine.adam(iterations, rate).update(slope / norm, moments, theta)
+        new = jnp.clip(optax.apply_updates(theta, updates), LOW, HIGH)
+        return (new, moments), theta[jnp.argmin(value)]
+
+    return Search(start, iterate, lambda s: s[0], lambda n: 3 * num_starts * n * STEPS)
+
+
+def evosax_search(algorithm: Any, params: Any, population: int, distribution: bool) -> Search:
+    """An algorithm of evosax; genes are clipped where they are evaluated."""
+
+    def start(key, theta):
+        del theta
+        first = jax.random.uniform(key, (population, 31), minval=LOW, maxval=HIGH)
+        if distribution:
+            return algorithm.init(key, jnp.zeros(31), params)
+        return algorithm.init(key, first, jnp.arange(population, dtype=jnp.float32), params)
+
+    def iterate(key, state, progress, iterations, cost_fn, draw):
+        del iterations
+        k_ask, k_scenes, k_tell = jax.random.split(key, 3)
+        theta, state = algorithm.ask(k_ask, state, params)
+        inside = jnp.clip(theta, LOW, HIGH)
+        cost = cost_fn(inside, draw(k_scenes), progress)
+        state, _ = algorithm.tell(k_tell, theta, cost, state, params)
+        return state, inside[jnp.argmin(cost)]
+
+    def mean(state):
+        if not distribution:
+            return jnp.zeros((0, 31))
+        return jnp.clip(algorithm.get_mean(state), LOW, HIGH)[None]
+
+    return Search(start, iterate, mean, lambda n: population * n * STEPS)
+
+
+def searches() -> dict[str, list[tuple[Search, float]]]:
+    """name -> phases, each with its share of the budget.
+
+    Raises ModuleNotFoundError where evosax is not installed.
+    """
+    from evosax.algorithms import CMA_ES, Open_ES, SimpleGA
+
+    robust = PRESETS["robust"].ga
+    zero = jnp.zeros(31)
+    cma, simple = CMA_ES(64, zero), SimpleGA(256, zero, std_schedule=_decay(0.5))
+    open_es = Open_ES(256, zero, optimizer=optax.adam(0.05), std_schedule=_decay(0.5))
+    return {
+        "ga-paper": [(genetic(ga.GAConfig()), 1.0)],
+        "ga-robust": [(genetic(robust), 1.0)],
+        "ga-refined": [(genetic(robust), 0.7), (gradient(4, 0.003), 0.3)],
+        "gradient": [(gradient(16, 0.03), 1.0)],
+        "cma-es": [
+            (evosax_search(cma, cma.default_params.replace(std_init=jnp.asarray(2.0)), 64, True), 1)
+        ],
+        "open-es": [(evosax_search(open_es, open_es.default_params, 256, True), 1.0)],
+        "simple-ga": [
+            (
+                evosax_search(
+                    simple, simple.default_params.replace(crossover_rate=0.5), 256, False
+                ),
+                1,
+            )
+        ],
+    }
+
+
+def _decay(start: float) -> Callable[[Any], Any]:
+    """A step size that falls geometrically by half in a hundred generations, down to 0.05."""
+    return lambda n: jnp.maximum(start * 0.5 ** (n / 100), 0.05)
+
+
+def _blocks(phases: Any, task: Task, budget: int, checkpoints: int) -> Iterator[tuple]:
+    for search, share in phases:
+        each = search.steps(task.num_scenes)
+        num = max(1, round(checkpoints * share))
+        length = max(1, round(share * budget / each / num))
+        yield search, num, length, each
+
+
+def train(name: str, phases: Any, task: Task, seed: int, budget: int, checkpoints: int):
+    """Yield a `Checkpoint` after each share of the budget; seconds exclude compilation."""
+    key, theta = jax.random.key(seed), None
+    spent, seconds = 0, 0.0
+    plan = list(_blocks(phases, task, budget, checkpoints))
+    for phase, (search, num, length, each) in enumerate(plan):
+        state = jax.jit(search.start)(jax.random.fold_in(key, phase), theta)
+        run = _compiled(name, phase, search, task, num, length, state)
+        for block in range(num):
+            begin = time.perf_counter()
+            first = jnp.asarray(block * length)
+            state, champions = jax.block_until_ready(
+                run(state, jax.random.fold_in(key, 1000 * (phase + 1)), first, task.traced)
+            )
+            seconds += time.perf_counter() - begin
+            spent += length * each
+            theta, success = task.choose(champions)
+            yield Checkpoint(spent, seconds, success)
+
+
+_programs: dict[tuple, Any] = {}
+
+
+def _compiled(name, phase, search, task, num, length, state):
+    """The program of a block: compiled once for all seeds."""
+    which = (name, phase, task, num, length)
+    if which not in _programs:
+        _programs[which] = (
+            jax.jit(partial(_block, search=search, task=task, num=num, length=length, phase=phase))
+            .lower(state, jax.random.key(0), jnp.asarray(0), task.traced)
+            .compile()
+        )
+    return _programs[which]
+
+
+def _block(state, key, first, traced, *, search, task, num, length, phase):
+    def cost_fn(theta, scenes, progress, **options):
+        return 10 / score(task.static, traced, theta, scenes, progress, **options) - 0.1
+
+    def iterate(state, n):
+        # A second phase starts with the weights that the first ended with.
+        progress = jnp.asarray(1.0) if phase else n / (num * length)
+        draw = partial(draw_scenes, task.static, traced)
+        k = jax.random.fold_in(key, n)
+        return search.iterate(k, state, progress, num * length, cost_fn, draw)
+
+    state, champions = jax.lax.scan(iterate, state, first + jnp.arange(length))
+    # Always as many candidates: short blocks repeat theirs.
+    candidates = jnp.concatenate([search.mean(state), champions[::-1]])
+    pick = jnp.arange(_CHAMPIONS) % candidates.shape[0]
+    return state, candidates[pick]
