@@ -65,7 +65,7 @@ def sigmoid_share(x: Scalar, a: Any, c: Any) -> Scalar:
 
 
 def _exp_minus(x, a, c):
-    return jnp.exp(jnp.clip(-a * (x - c), -_EXPONENT, _EXPONENT))
+    return jnp.exp(jnp.minimum(a * c - a * x, _EXPONENT))
 
 
 def obstacle_side(theta: Scalar, sigma: Any) -> tuple[Scalar, Scalar, Scalar]:
@@ -75,7 +75,9 @@ def obstacle_side(theta: Scalar, sigma: Any) -> tuple[Scalar, Scalar, Scalar]:
     theta <= 0; D_3 = 1 - exp(-theta^2 / 2 sigma_3^2).  sigma: [3], sign irrelevant, below
     1e-5 rad taken as 1e-5 rad.  With one sigma the three sum to 1.
     """
-    g1, g2, g3 = _bell(theta, sigma[0]), _bell(theta, sigma[1]), _bell(theta, sigma[2])
+    g1 = _bell(theta, sigma[0])
+    g2 = g1 if sigma[1] is sigma[0] else _bell(theta, sigma[1])
+    g3 = g1 if sigma[2] is sigma[0] else _bell(theta, sigma[2])
     zero = jnp.zeros_like(g1)
     left = theta > 0
     return jnp.where(left, g1, zero), jnp.where(left, zero, g2), 1 - g3
@@ -92,6 +94,8 @@ def obstacle_side_shares(theta: Scalar, sigma: Any) -> tuple[Scalar, Scalar, Sca
     shares are then (0, 0, 1), "not influencing".
     """
     d1, d2, d3 = obstacle_side(theta, sigma)
+    if sigma[0] is sigma[1] is sigma[2]:
+        return d1, d2, d3  # they sum to 1
     # A floor, not a summand: compilers reorder (1 - g) + 1e-16 into 0.  Acts only where the sum
     # could be 0; the square of 1e-16 is still a float32.
     d3 = jnp.maximum(d3, 1e-16)
@@ -124,11 +128,15 @@ def weighted_averages(params: Params, observation: Any) -> tuple[Scalar, Scalar]
     a = sigmoid_share(o.d_ball, params.a_A, params.c_A)
     b = sigmoid_share(o.d_obstacle, params.a_B, params.c_B)
     c = sigmoid_share(o.theta_ball, params.a_C, params.c_C)
-    d1, d2, d3 = obstacle_side_shares(o.theta_obstacle, params.sigma)
+    d1, d2, _ = obstacle_side_shares(o.theta_obstacle, params.sigma)
 
     def average(f):
         def over_d(i, j, k):
-            return d1 * f[i][j][k][0] + d2 * f[i][j][k][1] + d3 * f[i][j][k][2]
+            left, right, neither = f[i][j][k][0], f[i][j][k][1], f[i][j][k][2]
+            if left is right is neither:
+                return neither  # far, in layouts of 16 rules
+            # Differences of genes leave the loop over control steps.
+            return neither + d1 * (left - neither) + d2 * (right - neither)
 
         def over_bd(i, k):
             return _mix(b, over_d(i, 0, k), over_d(i, 1, k))

@@ -106,14 +106,15 @@ def expand_scalars(layout: Layout, theta: Float[Array, " genes"]) -> Params:
     shared genes have in common is computed once.
     """
     genes = [theta[n] for n in range(layout.num_genes)]
-    zero = jnp.zeros_like(genes[0])
+    values = {(n, 1): gene for n, gene in enumerate(genes)}
+    values |= {(n, -1): -gene for n, gene in enumerate(genes)}
+    values[0, 0] = jnp.zeros_like(genes[0])
     slots = iter(zip(layout.index, layout.sign))
 
     def fill(shape):
         if shape:
             return tuple(fill(shape[1:]) for _ in range(shape[0]))
-        index, sign = next(slots)
-        return genes[index] if sign > 0 else -genes[index] if sign < 0 else zero
+        return values[next(slots)]
 
     return Params(*(fill(shape) for shape in SHAPES))
 

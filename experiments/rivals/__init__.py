@@ -1,0 +1,2 @@
+"""What `experiments/benchmark.py` compares the library with: plain C, plain NumPy, naive JAX, and
+evosax, DEAP and pygad."""
