@@ -58,23 +58,28 @@ def paper(key: Key[Array, ""], num_scenes: int = 4) -> Scene:
     )
 
 
-def open_field(key: Key[Array, ""], num_scenes: int, num_obstacles: int = 2) -> Scene:
+def open_field(key: Key[Array, ""], num_scenes: int, num_obstacles: int = 1) -> Scene:
     """Anything anywhere: random start, ball and obstacles."""
     return _draw(key, num_scenes, num_obstacles, blocked=False)
 
 
-def blocked(key: Key[Array, ""], num_scenes: int, num_obstacles: int = 2) -> Scene:
+def blocked(key: Key[Array, ""], num_scenes: int, num_obstacles: int = 1) -> Scene:
     """The first obstacle's centre lies within 0.145 m of the straight line start-ball."""
     return _draw(key, num_scenes, num_obstacles, blocked=True)
 
 
-def moving_ball(key: Key[Array, ""], num_scenes: int, num_obstacles: int = 2) -> Scene:
+def crowded(key: Key[Array, ""], num_scenes: int, num_obstacles: int = 2) -> Scene:
+    """`blocked` with a second obstacle, anywhere that leaves a way between the two."""
+    return _draw(key, num_scenes, num_obstacles, blocked=True)
+
+
+def moving_ball(key: Key[Array, ""], num_scenes: int, num_obstacles: int = 1) -> Scene:
     """The ball rolls, slows down and bounces off walls; where it comes to rest it keeps the
     distances of a lying ball."""
     return _draw(key, num_scenes, num_obstacles, blocked=False, rolling=True)
 
 
-def moving_obstacles(key: Key[Array, ""], num_scenes: int, num_obstacles: int = 2) -> Scene:
+def moving_obstacles(key: Key[Array, ""], num_scenes: int, num_obstacles: int = 1) -> Scene:
     """Obstacles walk straight on and turn at walls, never nearer to the ball than allowed."""
     return _draw(key, num_scenes, num_obstacles, blocked=False, walking=True)
 
@@ -83,6 +88,7 @@ SUITES: dict[str, Callable[..., Scene]] = {
     "paper": paper,
     "open": open_field,
     "blocked": blocked,
+    "crowded": crowded,
     "moving-ball": moving_ball,
     "moving-obstacles": moving_obstacles,
 }
@@ -233,10 +239,13 @@ class Mix:
 
 
 def concatenate(parts: list[Scene]) -> Scene:
-    """One batch of scenes out of several with equal numbers of obstacles.
+    """One batch of scenes out of several.
 
-    Where one part moves and another doesn't, the still one gets velocities of zero.
+    Where one part moves and another doesn't, the still one gets velocities of zero; where one has
+    fewer obstacles, it gets some that are too far away to matter.
     """
+    most = max(p.obstacles.shape[-2] for p in parts)
+    parts = [_filled_up(p, most - p.obstacles.shape[-2]) for p in parts]
     moving_ball = any(p.ball_velocity is not None for p in parts)
     moving_obstacle = any(p.obstacle_velocity is not None for p in parts)
     full = [
@@ -247,6 +256,23 @@ def concatenate(parts: list[Scene]) -> Scene:
         for p in parts
     ]
     return jax.tree.map(lambda *xs: jnp.concatenate(xs), *full)
+
+
+_FAR_AWAY = (100.0, 100.0, 0.0)  # x, y, radius: m
+
+
+def _filled_up(scene: Scene, num: int) -> Scene:
+    if num == 0:
+        return scene
+
+    def more(rows, row):
+        return jnp.concatenate([rows, jnp.tile(jnp.asarray(row), (rows.shape[0], num, 1))], axis=1)
+
+    velocity = scene.obstacle_velocity
+    return scene._replace(
+        obstacles=more(scene.obstacles, _FAR_AWAY),
+        obstacle_velocity=None if velocity is None else more(velocity, (0.0, 0.0)),
+    )
 
 
 def _velocity(velocity, like, wanted: bool):

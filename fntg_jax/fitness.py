@@ -91,11 +91,16 @@ def success(outcome: Outcome) -> Success:
 class SmoothWeights:
     """Weights of `smooth_cost`.
 
+    The thresholds (reach, arrived, slow, margin) lie a little inside what counts as success.
+
     Attributes:
         near: scale of the logarithms of distance, m.
+        reach: nearer than this after step 200 costs nothing, m.
         arrival: weight of the distance after step 170, which asks for haste.
+        arrived: nearer than this after step 170 costs nothing, m.
         stop: weight of the speed at the end.
-        still: scale of that speed, m/s.
+        slow: slower than this costs nothing, m/s.
+        still: scale of the speed beyond, m/s.
         gate: only within about this distance of the ball does stopping count, m.
         margin: clearance that is asked for, m: more than the 0.145 m that count.
         clearance: weight of falling short of it, per 0.1 m, at the end of learning.
@@ -104,37 +109,47 @@ class SmoothWeights:
     """
 
     near: float = 0.05
-    arrival: float = 0.3
-    stop: float = 0.7
-    still: float = 0.015
-    gate: float = 0.15
-    margin: float = 0.165
-    clearance: float = 6.0
-    clearance_start: float = 2.5
-    ramp: float = 0.5
+    reach: float = 0.06
+    arrival: float = 1.0
+    arrived: float = 0.08
+    stop: float = 1.0
+    slow: float = 0.02
+    still: float = 0.01
+    gate: float = 0.4
+    margin: float = 0.16
+    clearance: float = 8.0
+    clearance_start: float = 1.5
+    ramp: float = 0.7
 
 
 def smooth_cost(
     outcome: Outcome, weights: SmoothWeights = SmoothWeights(), progress: float | Array = 1.0
 ) -> Float[Array, "..."]:
-    """Cost of each trial, >= 0, for learning on scenes that change: log-scaled and gated.
+    """Cost of each trial, >= 0, for learning on scenes that change: log-scaled, gated, and 0
+    for a trial that succeeds with a little to spare.
 
-    log(1 + (d/near)^2) + arrival log(1 + (d_1/near)^2)
-    + stop log(1 + (v_fit/still)^2) / (1 + (d/gate)^2) + W max(margin - h, 0) / 0.1 m,
-    with d, d_1 after steps 200, 170 and W rising geometrically with progress (0 .. 1).
+    L(d - reach, near) + arrival L(d_1 - arrived, near)
+    + stop L(v_fit - slow, still) / (1 + (d/gate)^2) + W max(margin - h, 0) / 0.1 m,
+    L(x, scale) = log(1 + (max(x, 0) / scale)^2), with d, d_1 after steps 200, 170 and W rising
+    geometrically with progress (0 .. 1).
 
-    The logarithms let no single lost scene outweigh the rest.  The gate is what makes it work:
+    The logarithms let no single lost scene outweigh the rest, and what is good enough weighs
+    nothing: selection then looks at the scenes that fail.  The gate is what makes it work:
     where stopping always counts, standing still is a local optimum that populations do not
     leave.  W starts low for the same reason: first learn to arrive, then to keep clear.
     """
     w = weights
+
+    def beyond(x, enough, scale):
+        return jnp.log1p((jnp.maximum(x - enough, 0) / scale) ** 2)
+
     d1, d = outcome.distance[..., 0], outcome.distance[..., 1]
     v_fit = jnp.mean(jnp.abs(outcome.v), axis=-1)
     short = jnp.maximum(w.margin - outcome.clearance, 0)
     rise = jnp.minimum(progress / w.ramp, 1)
     clearance = w.clearance_start * (w.clearance / w.clearance_start) ** rise
-    cost = jnp.log1p((d / w.near) ** 2) + w.arrival * jnp.log1p((d1 / w.near) ** 2)
-    cost += w.stop * jnp.log1p((v_fit / w.still) ** 2) / (1 + (d / w.gate) ** 2)
+    cost = beyond(d, w.reach, w.near) + w.arrival * beyond(d1, w.arrived, w.near)
+    cost += w.stop * beyond(v_fit, w.slow, w.still) / (1 + (d / w.gate) ** 2)
     # A fall costs as much as any trial can.
     return cost + clearance * short / 0.1 + jnp.where(outcome.failed, 30.0, 0.0)
 

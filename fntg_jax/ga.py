@@ -222,12 +222,23 @@ class Record(NamedTuple):
     best_bits: Bool[Array, " L"]
 
 
-def init(key: Key[Array, ""], num_genes: int, config: GAConfig) -> State:
-    """A uniformly random population."""
+def init(
+    key: Key[Array, ""],
+    num_genes: int,
+    config: GAConfig,
+    ranges: Float[Array, "genes 2"] | None = None,
+) -> State:
+    """A uniformly random population, over all genomes or with genes between `ranges`."""
     k_bits, k_run = jax.random.split(key)
     length = num_genes * config.num_bits
+    if ranges is None:
+        bits = jax.random.bernoulli(k_bits, 0.5, (config.population, length))
+    else:
+        share = jax.random.uniform(k_bits, (config.population, num_genes))
+        theta = ranges[:, 0] + share * (ranges[:, 1] - ranges[:, 0])
+        bits = genome.encode(theta, config.num_bits, config.gray)
     return State(
-        bits=jax.random.bernoulli(k_bits, 0.5, (config.population, length)),
+        bits=bits,
         key=k_run,
         generation=jnp.zeros((), int),
         best_bits=jnp.zeros((length,), bool),

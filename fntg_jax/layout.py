@@ -44,13 +44,15 @@ NUM_SLOTS = sum(int(np.prod(s)) for s in SHAPES)  # 65
 
 
 class Gene(NamedTuple):
-    """One free parameter: plain-text name, LaTeX symbol, unit, bounds."""
+    """One free parameter: plain-text name, LaTeX symbol, unit, bounds, and the range that it starts
+    in where the first population is a fuzzy partition (`TrainConfig.initial`)."""
 
     name: str
     symbol: str
     unit: str
     low: float = LOW
     high: float = HIGH
+    partition: tuple[float, float] = (LOW, HIGH)
 
 
 class Layout(NamedTuple):
@@ -76,6 +78,11 @@ class Layout(NamedTuple):
     @property
     def high(self) -> np.ndarray:
         return np.asarray([g.high for g in self.genes], np.float32)
+
+    @property
+    def partition(self) -> np.ndarray:
+        """[genes, 2]: where each gene starts in a fuzzy partition."""
+        return np.asarray([g.partition for g in self.genes], np.float32)
 
 
 def expand(layout: Layout, theta: Float[Array, "*batch genes"]) -> Params:
@@ -138,6 +145,15 @@ def get_layout(name: str) -> Layout:
     return LAYOUTS[name]
 
 
+# Genes of a fuzzy partition: the first label of a family falls, the second rises, and both change
+# within the range of their input (m, m, rad); biases are small.  Most of (-5, 5) lies outside of
+# the field, and labels that start there are the same everywhere: no rule can be told from another.
+_FALLING, _RISING = (-5.0, -1.0), (1.0, 5.0)
+_CENTRES = {"A": (0.0, 2.0), "B": (0.0, 1.0), "C": (-1.0, 1.0)}
+_WIDTHS = (0.3, 1.5)
+_BIASES = (-1.0, 1.0)
+
+
 def _mirror(l: int) -> int:
     """Left <-> right; "not influencing" stays."""
     return (1, 0, 2)[l]
@@ -173,8 +189,10 @@ def _build(
                 slots["a_C", 1] = (slots["a_C", 0][0], -1)
                 slots["c_C", 1] = (slots["c_C", 0][0], -1)
                 continue
-            for kind, u in (("a", f"1/{unit}"), ("c", unit)):
-                gene = Gene(f"{kind}_{family}{n + 1}", f"{kind}_{{{family}_{n + 1}}}", u)
+            slope = (_FALLING, _RISING)[n]
+            for kind, u, start in (("a", f"1/{unit}", slope), ("c", unit, _CENTRES[family])):
+                symbol = f"{kind}_{{{family}_{n + 1}}}"
+                gene = Gene(f"{kind}_{family}{n + 1}", symbol, u, partition=start)
                 slots[f"{kind}_{family}", n] = (add(gene), 1)
     labels: dict[int, list[str]] = {}
     for label, group in enumerate(sigmas):
@@ -183,7 +201,7 @@ def _build(
     for group, members in labels.items():
         which = "" if len(labels) == 1 else "".join(members)
         symbol = r"\sigma" if not which else rf"\sigma_{{D_{{{which}}}}}"
-        sigma_genes[group] = add(Gene(f"sigma{which}", symbol, "rad"))
+        sigma_genes[group] = add(Gene(f"sigma{which}", symbol, "rad", partition=_WIDTHS))
     for label, group in enumerate(sigmas):
         slots["sigma", label] = (sigma_genes[group], 1)
     # "speed of v_max / 5": with output="scale" a gene of 5 is full speed.
@@ -204,9 +222,8 @@ def _build(
                 slots[table, i, j, k, l] = (add(gene), 1)
     for n, free in enumerate(biases):
         unit = ("v_max/5", "omega_max/5")[n]
-        slots["bias", n] = (
-            (add(Gene(f"b_2{n + 1}", f"b_{{2{n + 1}}}", unit)), 1) if free else (0, 0)
-        )
+        gene = Gene(f"b_2{n + 1}", f"b_{{2{n + 1}}}", unit, partition=_BIASES)
+        slots["bias", n] = (add(gene), 1) if free else (0, 0)
     order = [
         slots[(field, *position)]
         for field, shape in zip(Params._fields, SHAPES)

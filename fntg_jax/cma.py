@@ -1,0 +1,144 @@
+"""Refinement by covariance matrix adaptation (CMA-ES), for costs whose gradient misleads.
+
+The roll-out jumps where "left" and "right" swap and where another obstacle becomes the nearest.
+A pathwise gradient knows nothing of these jumps (see `refine`); a cloud of samples does, and
+learns which genes have to move together.  Equations and constants: N. Hansen, "The CMA Evolution
+Strategy: A Tutorial", arXiv:1604.00772, with rank-one and rank-mu updates and no negative weights.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Key
+
+from fntg_jax.layout import HIGH, LOW
+
+# (theta [P, genes], scenes) -> mean cost [P].
+CostsFn = Callable[[Float[Array, "P genes"], Any], Float[Array, " P"]]
+
+# Cost of a squared gene outside of the bounds, where a sample is judged on the bound.
+_OUTSIDE = 0.05
+
+
+class Adapted(NamedTuple):
+    """theta: best validated mean; cost: its validation cost; history: [validations] validation
+    costs, the first that of the start; num_skipped: samples without finite cost, which count as
+    the worst."""
+
+    theta: Float[Array, " genes"]
+    cost: Float[Array, ""]
+    history: Float[Array, " validations"]
+    num_skipped: Int[Array, ""]
+
+
+class _Search(NamedTuple):
+    """State of the search; names as in the tutorial."""
+
+    mean: Array
+    sigma: Array
+    C: Array
+    p_sigma: Array
+    p_c: Array
+
+
+def adapt(
+    key: Key[Array, ""],
+    theta: Float[Array, " genes"],
+    costs_fn: CostsFn,
+    draw: Callable[[Key[Array, ""]], Any],
+    validation: Any,
+    num_steps: int,
+    sigma: float = 0.2,
+    population: int = 48,
+    validate_every: int = 20,
+) -> Adapted:
+    """Search around theta for num_steps samplings; the best validated mean is returned, so that
+    the result is never worse than the start.
+
+    draw: key -> a batch of training scenes, the same for all samples of a step.  validation:
+    scenes for the choice of the mean.  sigma: first step size, in genes.  Samples outside of
+    [-5, 5] are judged on the bound and pay for the way there.
+    """
+    step = _make_step(theta.shape[0], population, costs_fn)
+
+    def judge(mean):
+        return costs_fn(_inside(mean)[None], validation)[0]
+
+    def validated(carry, n):
+        search, best, best_cost, skipped = carry
+
+        def inner(m, carry):
+            search, skipped = carry
+            k_scenes, k_samples = jax.random.split(jax.random.fold_in(key, n * validate_every + m))
+            search, num = step(k_samples, search, draw(k_scenes), n * validate_every + m)
+            return search, skipped + num
+
+        num = jnp.minimum(validate_every, num_steps - n * validate_every)
+        search, skipped = jax.lax.fori_loop(0, num, inner, (search, skipped))
+        cost = judge(search.mean)
+        better = cost < best_cost  # never with NaN
+        best = jnp.where(better, _inside(search.mean), best)
+        return (search, best, jnp.where(better, cost, best_cost), skipped), cost
+
+    size = theta.shape[0]
+    search = _Search(theta, jnp.asarray(sigma), jnp.eye(size), jnp.zeros(size), jnp.zeros(size))
+    first = judge(theta)
+    start = jnp.where(jnp.isfinite(first), first, jnp.inf)
+    rounds = -(-num_steps // validate_every)
+    (_, best, cost, skipped), history = jax.lax.scan(
+        validated, (search, theta, start, jnp.zeros((), int)), jnp.arange(rounds)
+    )
+    return Adapted(best, cost, jnp.concatenate([first[None], history]), skipped)
+
+
+def _inside(theta):
+    return jnp.clip(theta, LOW, HIGH)
+
+
+def _make_step(n: int, population: int, costs_fn: CostsFn):
+    """One sampling and update: (key, search, scenes, number of the step) -> search, skipped."""
+    num = population // 2
+    weights = np.log(num + 0.5) - np.log(np.arange(1, num + 1))
+    weights /= weights.sum()
+    mu = 1 / np.sum(weights**2)
+    c_c = (4 + mu / n) / (n + 4 + 2 * mu / n)
+    c_sigma = (mu + 2) / (n + mu + 5)
+    c_1 = 2 / ((n + 1.3) ** 2 + mu)
+    c_mu = min(1 - c_1, 2 * (mu - 2 + 1 / mu) / ((n + 2) ** 2 + mu))
+    damping = 1 + 2 * max(0.0, np.sqrt((mu - 1) / (n + 1)) - 1) + c_sigma
+    chi = np.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n * n))  # expected length of N(0, I)
+    weights = jnp.asarray(weights, jnp.float32)
+
+    def step(key, search: _Search, scenes, count):
+        mean, sigma, C, p_sigma, p_c = search
+        eigenvalues, B = jnp.linalg.eigh(C)
+        D = jnp.sqrt(jnp.maximum(eigenvalues, 1e-10))
+        y = (jax.random.normal(key, (population, n)) * D) @ B.T
+        x = mean + sigma * y
+        cost = costs_fn(_inside(x), scenes)
+        finite = jnp.isfinite(cost)
+        outside = jnp.sum((x - _inside(x)) ** 2, axis=1)
+        order = jnp.argsort(jnp.where(finite, cost + _OUTSIDE * outside, jnp.inf))[:num]
+        y = y[order]
+        y_mean = weights @ y
+        p_sigma = (1 - c_sigma) * p_sigma + np.sqrt(c_sigma * (2 - c_sigma) * mu) * (
+            B @ ((B.T @ y_mean) / D)
+        )
+        length = jnp.linalg.norm(p_sigma) / chi
+        settled = jnp.sqrt(1 - (1 - c_sigma) ** (2.0 * (count + 1)))
+        h = (length / settled < 1.4 + 2 / (n + 1)).astype(C.dtype)
+        p_c = (1 - c_c) * p_c + h * np.sqrt(c_c * (2 - c_c) * mu) * y_mean
+        C = (
+            (1 - c_1 - c_mu) * C
+            + c_1 * (jnp.outer(p_c, p_c) + (1 - h) * c_c * (2 - c_c) * C)
+            + c_mu * (weights * y.T) @ y
+        )
+        sigma = jnp.minimum(sigma * jnp.exp((c_sigma / damping) * (length - 1)), HIGH - LOW)
+        return _Search(mean + search.sigma * y_mean, sigma, C, p_sigma, p_c), jnp.sum(~finite)
+
+    return step
+
+
