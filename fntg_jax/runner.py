@@ -1,8 +1,7 @@
 """The runner: evolution in jitted chunks, with progress, checkpoints and a run folder.
 
 All seeds advance together, one chunk of generations at a time.  A chunk is one compiled call:
-seeds are spread over the local devices and mapped one after the other on each, so memory does
-not grow with their number, and a seed's result does not depend on how many run beside it.
+a seed's result depends neither on how many run beside it nor on the devices (`parallel`).
 """
 
 import dataclasses
@@ -21,6 +20,7 @@ from jax.sharding import PartitionSpec as P
 from fntg_jax import ga, genome, refine
 from fntg_jax.layout import get_layout
 from fntg_jax.objective import Static, Traced, draw_scenes, score
+from fntg_jax.parallel import make_mesh, over_seeds, shared_score
 from fntg_jax.settings import TrainConfig, get_suite, get_world, validate
 
 
@@ -88,8 +88,7 @@ class Run:
             jax.random.key(_POOL_KEY), config.scene_pool or config.num_scenes
         )
         self.chunk = chunk_length(config.generations)
-        devices = jax.local_devices()[: config.seeds]
-        self.mesh = Mesh(np.asarray(devices), ("seed",))
+        self.mesh = make_mesh(config.seeds, config.ga.population, config.num_scenes)
         self.compile_seconds = 0.0
         self.run_seconds = 0.0
         seeds = config.first_seed + np.arange(self._padded_seeds())
@@ -109,7 +108,7 @@ class Run:
 
     def _padded_seeds(self) -> int:
         # Every device gets as many; the surplus is computed and dropped.
-        size = self.mesh.size
+        size = self.mesh.shape["seed"]
         return -(-self.config.seeds // size) * size
 
     @property
@@ -136,7 +135,7 @@ class Run:
                 _advance,
                 mesh=self.mesh,
                 num_generations=self.chunk,
-                make_fitness=partial(_make_fitness, self.config_static()),
+                make_fitness=partial(_make_fitness, self.config_static(), self.mesh),
             )
         )
         traced = self.traced()
@@ -271,9 +270,10 @@ def chunk_length(generations: int) -> int:
     return max(n for n in range(1, 11) if generations % n == 0)
 
 
-def _make_fitness(static: Static, traced: Traced) -> ga.FitnessFn:
+def _make_fitness(static: Static, mesh: Mesh, traced: Traced) -> ga.FitnessFn:
     def fitness_fn(key, theta, progress):
-        return score(static, traced, theta, draw_scenes(static, traced, key), progress)
+        scenes = draw_scenes(static, traced, key)
+        return shared_score(static, mesh, traced, theta, scenes, progress)
 
     return fitness_fn
 
@@ -284,7 +284,7 @@ def _advance(state, traced, *, mesh, num_generations, make_fitness):
     def one_seed(seed_state):
         return ga.evolve(seed_state, num_generations, make_fitness(traced), traced.ga)
 
-    return _over_seeds(one_seed, mesh)(state)
+    return over_seeds(one_seed, mesh)(state)
 
 
 def _conclude(state, traced, validation, *, config, static, mesh):
@@ -299,8 +299,8 @@ def _conclude(state, traced, validation, *, config, static, mesh):
     def one_seed(bits, key):
         theta = genome.decode(bits, config.ga.num_bits, config.ga.gray)
         # A screening on few scenes, then the best of it on all.
-        screened = _best_first(score(static, traced, theta, few))[:_FINALISTS]
-        value = score(static, traced, theta[screened], validation)
+        screened = _best_first(shared_score(static, mesh, traced, theta, few))[:_FINALISTS]
+        value = shared_score(static, mesh, traced, theta[screened], validation)
         order = _best_first(value)
         rows, value = screened[order], value[order]
         if config.refine_steps == 0:
@@ -317,23 +317,12 @@ def _conclude(state, traced, validation, *, config, static, mesh):
         best = jnp.argmin(refined.cost)
         return refined.theta[best], 10 / refined.cost[best], rows[best], 10 / refined.history[best]
 
-    theta, value, row, course = _over_seeds(one_seed, mesh)(state.bits, state.key)
+    theta, value, row, course = over_seeds(one_seed, mesh)(state.bits, state.key)
     return theta, value, row, course if config.refine_steps else None
 
 
 def _best_first(value):
     return jnp.argsort(jnp.where(jnp.isfinite(value), -value, jnp.inf))
-
-
-def _over_seeds(fn, mesh):
-    """fn mapped over the leading axis: spread over devices, one after the other on each."""
-    return jax.shard_map(
-        lambda *xs: jax.lax.map(lambda x: fn(*x), xs),
-        mesh=mesh,
-        in_specs=P("seed"),
-        out_specs=P("seed"),
-        check_vma=False,
-    )
 
 
 def train(

@@ -62,7 +62,7 @@ def main(argv: list[str]) -> None:
         settings.validate(config)
         stamp = time.strftime("%Y%m%d-%H%M%S")
         folder = options.out or Path("runs") / f"{preset}-{stamp}"
-    xla.configure(num_cpu_devices=min(config.seeds, os.cpu_count() or 1))
+    xla.configure(num_cpu_devices=os.cpu_count() or 1)
     from fntg_jax import runfolder
 
     if resume is None:
