@@ -7,9 +7,9 @@ a seed's result depends neither on how many run beside it nor on the devices (`p
 import dataclasses
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -73,13 +73,16 @@ class Result(NamedTuple):
 class Run:
     """Learning runs of one configuration: `compile`, then `advance` until `done`.
 
-    The object only holds what must survive between chunks; the arithmetic is in pure
-    functions.
+    variants: configurations that differ in traced floats only (`program_key`), each of which runs
+    with all seeds.  The seed axis of histories and results then is the flat axis of
+    (variant, seed).  The object only holds what must survive between chunks; the arithmetic is in
+    pure functions.
     """
 
-    def __init__(self, config: TrainConfig):
+    def __init__(self, config: TrainConfig, variants: Sequence[TrainConfig] = ()):
         validate(config)
         self.config = config
+        self.num_rows = config.seeds * max(len(variants), 1)
         self.world = get_world(config.env)
         self.layout = get_layout(config.layout)
         self.env = self.world.make(**config.env_options)
@@ -88,13 +91,23 @@ class Run:
             jax.random.key(_POOL_KEY), config.scene_pool or config.num_scenes
         )
         self.chunk = chunk_length(config.generations)
-        self.mesh = make_mesh(config.seeds, config.ga.population, config.num_scenes)
+        self.mesh = make_mesh(self.num_rows, config.ga.population, config.num_scenes)
         self.compile_seconds = 0.0
-        self.run_seconds = 0.0
-        seeds = config.first_seed + np.arange(self._padded_seeds())
+        self.start(variants or (config,))
+
+    def start(self, variants: Sequence[TrainConfig]) -> None:
+        """Back to generation 0, with as many variants as before."""
+        config = self.config
+        # Every device gets as many rows; the surplus is computed and dropped.
+        size = self.mesh.shape["seed"]
+        row = np.arange(-(-self.num_rows // size) * size) % self.num_rows
+        rows = [_floats(v) for v in variants for _ in range(config.seeds)]
+        self.floats = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *(rows[n] for n in row))
+        seeds = jnp.asarray(config.first_seed + row % config.seeds, jnp.uint32)
         self.state = jax.vmap(
             lambda s: ga.init(jax.random.key(s), self.layout.num_genes, config.ga)
-        )(jnp.asarray(seeds, jnp.uint32))
+        )(seeds)
+        self.run_seconds = 0.0
         self.records: list[History] = []
 
     def config_static(self) -> Static:
@@ -102,14 +115,8 @@ class Run:
         return Static(self.layout, c.output, c.objective, c.num_scenes, c.scene_pool > 0)
 
     def traced(self) -> Traced:
-        c = self.config
-        horizon = dataclasses.replace(c.ga, horizon=float(c.generations))
-        return Traced(horizon, self.env, c.fitness, c.smooth, self.scenes)
-
-    def _padded_seeds(self) -> int:
-        # Every device gets as many; the surplus is computed and dropped.
-        size = self.mesh.shape["seed"]
-        return -(-self.config.seeds // size) * size
+        """What the compiled program is given, of the first row."""
+        return jax.tree.map(lambda x: x[0], self.floats)._replace(scenes=self.scenes)
 
     @property
     def generation(self) -> int:
@@ -123,13 +130,13 @@ class Run:
     def control_steps(self) -> int:
         """Control steps of all seeds so far."""
         c = self.config
-        return self.generation * c.seeds * c.ga.population * c.num_scenes * 220
+        return self.generation * self.num_rows * c.ga.population * c.num_scenes * 220
 
     def compile(self) -> float:
         """Trace and compile a chunk; returns the seconds it took."""
         start = time.perf_counter()
         sharding = NamedSharding(self.mesh, P("seed"))
-        self.state = jax.device_put(self.state, sharding)
+        self.state, self.floats = jax.device_put((self.state, self.floats), sharding)
         advance = jax.jit(
             partial(
                 _advance,
@@ -138,17 +145,15 @@ class Run:
                 make_fitness=partial(_make_fitness, self.config_static(), self.mesh),
             )
         )
-        traced = self.traced()
-        compiled = advance.lower(self.state, traced).compile()
-        self._advance = lambda state: compiled(state, traced)
+        self._advance = advance.lower(self.state, self.floats, self.scenes).compile()
         self.compile_seconds += time.perf_counter() - start
         return time.perf_counter() - start
 
     def advance(self) -> Progress:
         """Run one chunk of generations, on all seeds."""
         start = time.perf_counter()
-        self.state, record = self._advance(self.state)
-        self.records.append(History(*(np.asarray(x)[: self.config.seeds] for x in record)))
+        self.state, record = self._advance(self.state, self.floats, self.scenes)
+        self.records.append(History(*(np.asarray(x)[: self.num_rows] for x in record)))
         self.run_seconds += time.perf_counter() - start
         return self.progress()
 
@@ -171,18 +176,18 @@ class Run:
         """The controller of each seed: see `Result`.  The same answer however often it is asked,
         also of a resumed run."""
         if self.config.scene_pool == 0 and self.config.refine_steps == 0:
-            bits = np.asarray(self.state.best_bits)[: self.config.seeds]
+            bits = np.asarray(self.state.best_bits)[: self.num_rows]
             theta = np.asarray(self._decode(bits))
             return Result(theta, np.asarray(self.state.best_fitness)[: len(bits)], bits, None)
-        static, traced = self.config_static(), self.traced()
+        static = self.config_static()
         suite = get_suite(self.world, self.config.suite)
         key = jax.random.key(_POOL_KEY + 1)
         validation = suite(key, _VALIDATION) if static.fresh else self.scenes
         choose = jax.jit(
             partial(_conclude, config=self.config, static=static, mesh=self.mesh),
         )
-        theta, value, row, refined = choose(self.state, traced, validation)
-        num = self.config.seeds
+        theta, value, row, refined = choose(self.state, self.floats, self.scenes, validation)
+        num = self.num_rows
         bits = np.take_along_axis(
             np.asarray(self.state.bits), np.asarray(row)[:, None, None], axis=1
         )[:num, 0]
@@ -226,7 +231,7 @@ class Run:
         def unpack(name):
             return np.unpackbits(arrays[name], axis=-1, count=length).astype(bool)
 
-        num = self.config.seeds
+        num = self.num_rows
         saved = ga.State(
             bits=jnp.asarray(unpack("bits")),
             key=jax.random.wrap_key_data(jnp.asarray(arrays["key"])),
@@ -264,6 +269,22 @@ CHECKPOINT_ARRAYS = (
 )
 
 
+def _floats(config: TrainConfig) -> Traced:
+    """The traced floats of a configuration; scenes come later."""
+    horizon = dataclasses.replace(config.ga, horizon=float(config.generations))
+    env = get_world(config.env).make(**config.env_options)
+    traced = Traced(horizon, env, config.fitness, config.smooth, None)
+    return jax.tree.map(np.asarray, traced)
+
+
+def program_key(config: TrainConfig) -> tuple[Any, ...]:
+    """Configurations of equal key run in one compiled program: they differ in traced floats."""
+    groups = ("env_options", "ga", "fitness", "smooth")
+    rest = {n: v for n, v in vars(config).items() if n not in groups}
+    leaves, structure = jax.tree.flatten(_floats(config))
+    return structure, [(x.shape, x.dtype) for x in leaves], rest
+
+
 def chunk_length(generations: int) -> int:
     """Generations a compiled call: the largest divisor up to 10, so that one compilation serves
     all chunks and a resumed run repeats exactly the calls of an uninterrupted one."""
@@ -278,25 +299,29 @@ def _make_fitness(static: Static, mesh: Mesh, traced: Traced) -> ga.FitnessFn:
     return fitness_fn
 
 
-def _advance(state, traced, *, mesh, num_generations, make_fitness):
-    """A chunk of generations for every seed; state leaves [S, ...], records [S, n, ...]."""
+def _advance(state, floats, scenes, *, mesh, num_generations, make_fitness):
+    """A chunk of generations for every row; leaves of state and floats [S, ...], records
+    [S, n, ...]."""
 
-    def one_seed(seed_state):
+    def one_seed(seed_state, seed_floats):
+        traced = seed_floats._replace(scenes=scenes)
         return ga.evolve(seed_state, num_generations, make_fitness(traced), traced.ga)
 
-    return over_seeds(one_seed, mesh)(state)
+    return over_seeds(one_seed, mesh)(state, floats)
 
 
-def _conclude(state, traced, validation, *, config, static, mesh):
+def _conclude(state, floats, scenes, validation, *, config, static, mesh):
     """theta [S, genes], validated fitness [S], row of the population it comes from [S], and the
     course of the refinement [S, n] in fitness, or None."""
     few = jax.tree.map(lambda x: x[:_SCREENING], validation)
 
-    def cost_fn(theta, scenes):
-        # Checkpointed: reverse mode then stores one state a control step.
-        return 10 / score(static, traced, theta[None], scenes, checkpoint=True)[0]
+    def one_seed(bits, key, seed_floats):
+        traced = seed_floats._replace(scenes=scenes)
 
-    def one_seed(bits, key):
+        def cost_fn(theta, some):
+            # Checkpointed: reverse mode then stores one state a control step.
+            return 10 / score(static, traced, theta[None], some, checkpoint=True)[0]
+
         theta = genome.decode(bits, config.ga.num_bits, config.ga.gray)
         # A screening on few scenes, then the best of it on all.
         screened = _best_first(shared_score(static, mesh, traced, theta, few))[:_FINALISTS]
@@ -317,7 +342,7 @@ def _conclude(state, traced, validation, *, config, static, mesh):
         best = jnp.argmin(refined.cost)
         return refined.theta[best], 10 / refined.cost[best], rows[best], 10 / refined.history[best]
 
-    theta, value, row, course = over_seeds(one_seed, mesh)(state.bits, state.key)
+    theta, value, row, course = over_seeds(one_seed, mesh)(state.bits, state.key, floats)
     return theta, value, row, course if config.refine_steps else None
 
 

@@ -35,20 +35,7 @@ class TrainOptions:
 def main(argv: list[str]) -> None:
     from fntg_jax import settings
 
-    preset = _preset(argv, list(settings.PRESETS))
-    options_type = dataclasses.make_dataclass(
-        "TrainOptions",
-        [("config", Annotated[settings.TrainConfig, tyro.conf.arg(name="")])]
-        + [
-            (f.name, f.type, dataclasses.field(default=f.default))
-            for f in dataclasses.fields(TrainOptions)[1:]
-        ],
-        frozen=True,
-    )
-    options_type.__doc__ = TrainOptions.__doc__
-    options = parse(
-        options_type, argv, "train", options_type(settings.PRESETS[preset], preset=preset)
-    )
+    options = parse_over_preset(TrainOptions, argv, "train")
     resume = options.resume
     if resume is not None:
         if len(argv) > (1 if "=" in argv[0] else 2):
@@ -61,7 +48,7 @@ def main(argv: list[str]) -> None:
         config = options.config
         settings.validate(config)
         stamp = time.strftime("%Y%m%d-%H%M%S")
-        folder = options.out or Path("runs") / f"{preset}-{stamp}"
+        folder = options.out or Path("runs") / f"{options.preset}-{stamp}"
     xla.configure(num_cpu_devices=os.cpu_count() or 1)
     from fntg_jax import runfolder
 
@@ -92,6 +79,26 @@ def main(argv: list[str]) -> None:
     print(folder)
 
 
+def parse_over_preset(cls: type, argv: list[str], command: str) -> Any:
+    """Options of `cls`, and as its field `config` those of `settings.TrainConfig` over the
+    preset's."""
+    from fntg_jax import settings
+
+    preset = _preset(argv, list(settings.PRESETS))
+    # Here and not at the top, because `settings` loads jax.
+    options_type = dataclasses.make_dataclass(
+        cls.__name__,
+        [("config", Annotated[settings.TrainConfig, tyro.conf.arg(name="")])]
+        + [
+            (f.name, f.type, dataclasses.field(default=f.default))
+            for f in dataclasses.fields(cls)[1:]
+        ],
+        frozen=True,
+    )
+    options_type.__doc__ = cls.__doc__
+    return parse(options_type, argv, command, options_type(settings.PRESETS[preset], preset=preset))
+
+
 def _preset(argv: list[str], known: list[str]) -> str:
     """The value of --preset, before tyro needs it for the other options' defaults."""
     for n, word in enumerate(argv):
@@ -115,7 +122,7 @@ def _learn(run: Any, folder: Path) -> None:
     try:
         say("tracing and compiling ...")
         say(f"tracing and compiling took {run.compile():.1f} s")
-        with _progress_bar(run) as show:
+        with progress_bar(run) as show:
             saved = time.monotonic()
             while not run.done and not wanted:
                 show(run.advance())
@@ -139,7 +146,7 @@ _STOP = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextlib.contextmanager
-def _progress_bar(run: Any):
+def progress_bar(run: Any):
     """A callable that shows a `runner.Progress`: a bar on a terminal, ten lines otherwise."""
     total = run.config.generations
     if not sys.stderr.isatty():
