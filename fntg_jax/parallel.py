@@ -34,7 +34,14 @@ def make_mesh(num_seeds: int, population: int, num_scenes: int) -> Mesh:
     devices = np.asarray(jax.devices())
     num = min(num_seeds, len(devices))
     share = min(len(devices) // num, num_blocks(population, num_scenes))
-    return Mesh(devices[: num * share].reshape(num, share), ("seed", "genome"))
+    chosen = devices[: num * share]
+    idle = jax.process_count() - len({d.process_index for d in chosen})
+    if idle:
+        raise ValueError(
+            f"seeds = {num_seeds}: too few for {jax.process_count()} processes, {idle} of them "
+            "would have nothing to do"
+        )
+    return Mesh(chosen.reshape(num, share), ("seed", "genome"))
 
 
 def num_blocks(num_genomes: int, num_scenes: int) -> int:

@@ -19,7 +19,7 @@ import jax
 import numpy as np
 
 import fntg_jax
-from fntg_jax import export, fitness, fntg, ga, plots
+from fntg_jax import export, fitness, fntg, ga, hosts, plots
 from fntg_jax.files import write_atomically
 from fntg_jax.runner import History, Result, Run, decode_history
 from fntg_jax.settings import TrainConfig, validate
@@ -90,16 +90,20 @@ def _from_dict(cls: type, data: Any) -> Any:
 
 def save_checkpoint(folder: Path, run: Run) -> None:
     """Write checkpoint.npz atomically."""
-    _write_npz(folder / "checkpoint.npz", run.to_arrays())
+    arrays = run.to_arrays()
+    if hosts.is_first():
+        _write_npz(folder / "checkpoint.npz", arrays)
 
 
 def restore(folder: Path) -> Run:
     """The run of a folder, at its last checkpoint.  Raises ValueError as `load_config`."""
-    run = Run(load_config(folder))
+    text = hosts.from_first(lambda: json.dumps(dataclasses.asdict(load_config(folder))).encode())
+    run = Run(config_from_dict(json.loads(text)))
     path = folder / "checkpoint.npz"
-    if path.exists():
+    data = hosts.from_first(lambda: path.read_bytes() if path.exists() else b"")
+    if data:
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with np.load(io.BytesIO(data), allow_pickle=False) as file:
                 run.from_arrays(dict(file))
         except Exception as error:
             raise ValueError(f"{path}: not a checkpoint of this run ({error})") from None
@@ -110,6 +114,9 @@ def finish(folder: Path, run: Run) -> tuple[Path, Result]:
     """Write results and figures of a completed run; returns the figure's path and what the
     seeds came to."""
     history, result = run.history(), run.conclude()
+    figure = folder / "fig5.png"
+    if not hosts.is_first():
+        return figure, result
     rows = ["seed,generation,best,mean,num_nonfinite"]
     for s, g in np.ndindex(history.best.shape):
         seed = run.config.first_seed + s
@@ -132,7 +139,7 @@ def finish(folder: Path, run: Run) -> tuple[Path, Result]:
     )
     export.save(controller(run, result=result), folder / "params.json")
     _write_json(folder / "environment.json", environment(run))
-    figure = plots.fitness_curves(history, folder / "fig5.png", result.refined)
+    plots.fitness_curves(history, figure, result.refined)
     return figure, result
 
 
@@ -225,6 +232,7 @@ def environment(run: Run) -> dict[str, Any]:
         "platform": platform.platform(),
         "device": f"{device.platform}: {device.device_kind}",
         "num_devices": run.mesh.size,
+        "num_processes": jax.process_count(),
         "git_commit": _git_commit(),
         "compile_seconds": round(run.compile_seconds, 3),
         "run_seconds": round(run.run_seconds, 3),

@@ -17,7 +17,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
-from fntg_jax import ga, genome, refine
+from fntg_jax import ga, genome, hosts, refine
 from fntg_jax.layout import get_layout
 from fntg_jax.objective import Static, Traced, draw_scenes, score
 from fntg_jax.parallel import make_mesh, over_seeds, shared_score
@@ -87,11 +87,12 @@ class Run:
         self.layout = get_layout(config.layout)
         self.env = self.world.make(**config.env_options)
         # All seeds share the pool, so that a seed's result does not depend on its company.
-        self.scenes = get_suite(self.world, config.suite)(
+        scenes = get_suite(self.world, config.suite)(
             jax.random.key(_POOL_KEY), config.scene_pool or config.num_scenes
         )
         self.chunk = chunk_length(config.generations)
         self.mesh = make_mesh(self.num_rows, config.ga.population, config.num_scenes)
+        self.scenes = self._placed(scenes, P())
         self.compile_seconds = 0.0
         self.start(variants or (config,))
 
@@ -102,13 +103,22 @@ class Run:
         size = self.mesh.shape["seed"]
         row = np.arange(-(-self.num_rows // size) * size) % self.num_rows
         rows = [_floats(v) for v in variants for _ in range(config.seeds)]
-        self.floats = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *(rows[n] for n in row))
-        seeds = jnp.asarray(config.first_seed + row % config.seeds, jnp.uint32)
-        self.state = jax.vmap(
-            lambda s: ga.init(jax.random.key(s), self.layout.num_genes, config.ga)
-        )(seeds)
+        floats = jax.tree.map(lambda *x: np.stack(x), *(rows[n] for n in row))
+        seeds = (config.first_seed + row % config.seeds).astype(np.uint32)
+
+        def init(s):
+            return ga.init(jax.random.key(s), self.layout.num_genes, config.ga)
+
+        self.floats = self._placed(floats, P("seed"))
+        self.state = self._placed(seeds, P("seed"), jax.vmap(init))
         self.run_seconds = 0.0
         self.records: list[History] = []
+
+    def _placed(self, values: Any, spec: P, fn: Callable[[Any], Any] = lambda x: x) -> Any:
+        """fn of values on the devices of the mesh: by the compiler, because `jax.device_put`
+        does not reach those of other processes."""
+        place = jax.jit(fn, out_shardings=NamedSharding(self.mesh, spec))
+        return place(jax.tree.map(np.asarray, values))
 
     def config_static(self) -> Static:
         c = self.config
@@ -135,8 +145,6 @@ class Run:
     def compile(self) -> float:
         """Trace and compile a chunk; returns the seconds it took."""
         start = time.perf_counter()
-        sharding = NamedSharding(self.mesh, P("seed"))
-        self.state, self.floats = jax.device_put((self.state, self.floats), sharding)
         advance = jax.jit(
             partial(
                 _advance,
@@ -153,7 +161,7 @@ class Run:
         """Run one chunk of generations, on all seeds."""
         start = time.perf_counter()
         self.state, record = self._advance(self.state, self.floats, self.scenes)
-        self.records.append(History(*(np.asarray(x)[: self.num_rows] for x in record)))
+        self.records.append(History(*(hosts.gather(x)[: self.num_rows] for x in record)))
         self.run_seconds += time.perf_counter() - start
         return self.progress()
 
@@ -176,25 +184,25 @@ class Run:
         """The controller of each seed: see `Result`.  The same answer however often it is asked,
         also of a resumed run."""
         if self.config.scene_pool == 0 and self.config.refine_steps == 0:
-            bits = np.asarray(self.state.best_bits)[: self.num_rows]
+            bits = hosts.gather(self.state.best_bits)[: self.num_rows]
             theta = np.asarray(self._decode(bits))
-            return Result(theta, np.asarray(self.state.best_fitness)[: len(bits)], bits, None)
+            return Result(theta, hosts.gather(self.state.best_fitness)[: len(bits)], bits, None)
         static = self.config_static()
         suite = get_suite(self.world, self.config.suite)
         key = jax.random.key(_POOL_KEY + 1)
-        validation = suite(key, _VALIDATION) if static.fresh else self.scenes
+        validation = self._placed(suite(key, _VALIDATION), P()) if static.fresh else self.scenes
         choose = jax.jit(
             partial(_conclude, config=self.config, static=static, mesh=self.mesh),
         )
         theta, value, row, refined = choose(self.state, self.floats, self.scenes, validation)
         num = self.num_rows
         bits = np.take_along_axis(
-            np.asarray(self.state.bits), np.asarray(row)[:, None, None], axis=1
+            hosts.gather(self.state.bits), hosts.gather(row)[:, None, None], axis=1
         )[:num, 0]
-        theta, value = np.asarray(theta)[:num], np.asarray(value)[:num]
+        theta, value = hosts.gather(theta)[:num], hosts.gather(value)[:num]
         if refined is None:
             return Result(theta, value, bits, None)
-        return Result(theta, value, None, np.asarray(refined)[:num])
+        return Result(theta, value, None, hosts.gather(refined)[:num])
 
     def _decode(self, bits):
         return genome.decode(bits, self.config.ga.num_bits, self.config.ga.gray)
@@ -206,11 +214,11 @@ class Run:
         state, history = self.state, self.history()
         return {
             "config": np.asarray(json.dumps(dataclasses.asdict(self.config), sort_keys=True)),
-            "bits": np.packbits(np.asarray(state.bits), axis=-1),
-            "key": np.asarray(jax.random.key_data(state.key)),
-            "generation": np.asarray(state.generation),
-            "best_bits": np.packbits(np.asarray(state.best_bits), axis=-1),
-            "best_fitness": np.asarray(state.best_fitness),
+            "bits": np.packbits(hosts.gather(state.bits), axis=-1),
+            "key": hosts.gather(jax.random.key_data(state.key)),
+            "generation": hosts.gather(state.generation),
+            "best_bits": np.packbits(hosts.gather(state.best_bits), axis=-1),
+            "best_fitness": hosts.gather(state.best_fitness),
             "seconds": np.asarray([self.compile_seconds, self.run_seconds]),
             "history_best": history.best,
             "history_mean": history.mean,
@@ -218,7 +226,7 @@ class Run:
             "history_best_bits": np.packbits(history.best_bits, axis=-1),
         }
 
-    def from_arrays(self, arrays: dict[str, np.ndarray]) -> None:
+    def from_arrays(self, arrays: dict[str, Any]) -> None:
         """Take over a checkpoint.  Raises ValueError when it belongs to another configuration
         or lacks something."""
         missing = [name for name in CHECKPOINT_ARRAYS if name not in arrays]
@@ -231,17 +239,18 @@ class Run:
         def unpack(name):
             return np.unpackbits(arrays[name], axis=-1, count=length).astype(bool)
 
-        num = self.num_rows
         saved = ga.State(
-            bits=jnp.asarray(unpack("bits")),
-            key=jax.random.wrap_key_data(jnp.asarray(arrays["key"])),
-            generation=jnp.asarray(arrays["generation"]),
-            best_bits=jnp.asarray(unpack("best_bits")),
-            best_fitness=jnp.asarray(arrays["best_fitness"]),
+            unpack("bits"),
+            arrays["key"],
+            arrays["generation"],
+            unpack("best_bits"),
+            arrays["best_fitness"],
         )
         # The number of devices, and with it the padding, may have changed.
-        self.state = jax.tree.map(
-            lambda new, old: jnp.concatenate([old[:num], new[num:]]), self.state, saved
+        row = np.arange(self.state.bits.shape[0]) % self.num_rows
+        saved = jax.tree.map(lambda x: x[row], saved)
+        self.state = self._placed(
+            saved, P("seed"), lambda x: x._replace(key=jax.random.wrap_key_data(x.key))
         )
         self.compile_seconds, self.run_seconds = map(float, arrays["seconds"])
         self.records = [
