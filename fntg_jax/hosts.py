@@ -6,6 +6,7 @@ not share a file system.  With one process every function here does nothing.
 
 import contextlib
 import os
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -94,16 +95,39 @@ def gather(array: Any) -> np.ndarray:
     return np.asarray(process_allgather(array, tiled=True))
 
 
+# Says its first line of input when that ends without a last word.
+_WATCHER = """
+import sys
+text = sys.stdin.read()
+if not text.endswith("done"):
+    sys.stderr.write(text)
+"""
+
+
 @contextlib.contextmanager
 def together(advice: str) -> Iterator[None]:
-    """When another process is lost, end this one: one line with the advice, exit status 1."""
+    """When another process is lost, end this one with a clear last line, the advice in it.
+
+    A closed connection is an exception: exit status 1.  A host that falls silent, or the loss of
+    process 0, is noticed inside JAX (after half a minute at most), which aborts this process
+    there and then: a small process beside it has the last word.
+    """
+    if jax.process_count() == 1:
+        yield
+        return
+    line = f"fntg: error: another process was lost; {advice}\n"
+    command = [sys.executable, "-I", "-S", "-c", _WATCHER]
+    watcher = subprocess.Popen(command, stdin=subprocess.PIPE, text=True, start_new_session=True)
+    assert watcher.stdin is not None
+    watcher.stdin.write(line)
+    watcher.stdin.flush()
     try:
         yield
     except jax.errors.JaxRuntimeError as error:
-        if jax.process_count() == 1:
-            raise
-        line = str(error).split("\n")[0][:160]
-        print(f"fntg: error: another process was lost ({line}); {advice}", file=sys.stderr)
-        sys.stderr.flush()
-        # Not by sys.exit, which waits for the lost one.
+        print(str(error).split("\n")[0], file=sys.stderr, flush=True)
+        # Not by an exception, which on its way out waits for the lost one.
         os._exit(1)
+    finally:
+        with contextlib.suppress(OSError):
+            watcher.stdin.write("done")
+            watcher.stdin.close()

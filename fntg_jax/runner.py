@@ -17,7 +17,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
-from fntg_jax import ga, genome, hosts, refine
+from fntg_jax import ga, genome, hosts
 from fntg_jax.layout import get_layout
 from fntg_jax.objective import Static, Traced, draw_scenes, score
 from fntg_jax.parallel import make_mesh, over_seeds, shared_score
@@ -322,6 +322,9 @@ def _advance(state, floats, scenes, *, mesh, num_generations, make_fitness):
 def _conclude(state, floats, scenes, validation, *, config, static, mesh):
     """theta [S, genes], validated fitness [S], row of the population it comes from [S], and the
     course of the refinement [S, n] in fitness, or None."""
+    if config.refine_steps:
+        # Here, because optax takes a good part of a second to load.
+        from fntg_jax import refine
     few = jax.tree.map(lambda x: x[:_SCREENING], validation)
 
     def one_seed(bits, key, seed_floats):
