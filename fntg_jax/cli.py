@@ -50,6 +50,13 @@ def main(argv: list[str] | None = None) -> None:
         importlib.import_module(f"fntg_jax.commands.{command}").main(rest)
     except ValueError as error:
         refuse(str(error))
+    except MemoryError:
+        refuse("out of memory: take fewer genomes, scenes or seeds")
+    except RuntimeError as error:
+        # What XLA raises; its class would have to be imported, with all of jax.
+        if "RESOURCE_EXHAUSTED" not in str(error) and "Out of memory" not in str(error):
+            raise
+        refuse("out of memory: take fewer genomes, scenes or seeds")
     except KeyboardInterrupt:
         # Outside of evolution, which stops at the end of a chunk, there is nothing to save.
         raise SystemExit(130) from None

@@ -4,6 +4,7 @@ config.json, metrics.csv, history.npz, params.json (best controller of all seeds
 environment.json, checkpoint.npz, fig5.png and .pdf.  Every file is written atomically.
 """
 
+import contextlib
 import dataclasses
 import io
 import json
@@ -36,6 +37,14 @@ def create(out: Path, config: TrainConfig) -> None:
         _write_json(out / "config.json", dataclasses.asdict(config))
     except OSError as error:
         raise ValueError(f"out = {out}: {error.strerror or error}") from None
+
+
+def discard(folder: Path) -> None:
+    """Take back what `create` made, where a run did not come to its first checkpoint."""
+    if hosts.is_first() and not (folder / "checkpoint.npz").exists():
+        (folder / "config.json").unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # somebody else's files in it
+            folder.rmdir()
 
 
 def load_config(folder: Path) -> TrainConfig:

@@ -17,7 +17,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
-from fntg_jax import ga, genome, hosts
+from fntg_jax import ga, genome, hosts, memory
 from fntg_jax.layout import get_layout
 from fntg_jax.objective import Static, Traced, draw_scenes, score
 from fntg_jax.parallel import make_mesh, over_seeds, shared_score
@@ -117,8 +117,10 @@ class Run:
     def _placed(self, values: Any, spec: P, fn: Callable[[Any], Any] = lambda x: x) -> Any:
         """fn of values on the devices of the mesh: by the compiler, because `jax.device_put`
         does not reach those of other processes."""
-        place = jax.jit(fn, out_shardings=NamedSharding(self.mesh, spec))
-        return place(jax.tree.map(np.asarray, values))
+        values = jax.tree.map(np.asarray, values)
+        place = jax.jit(fn, out_shardings=NamedSharding(self.mesh, spec)).lower(values).compile()
+        memory.check(place, len(self.mesh.local_devices))
+        return place(values)
 
     def config_static(self) -> Static:
         c = self.config
@@ -143,7 +145,8 @@ class Run:
         return self.generation * self.num_rows * c.ga.population * c.num_scenes * 220
 
     def compile(self) -> float:
-        """Trace and compile a chunk; returns the seconds it took."""
+        """Trace and compile a chunk; returns the seconds it took.  Raises ValueError where memory
+        will not do."""
         start = time.perf_counter()
         advance = jax.jit(
             partial(
@@ -154,6 +157,7 @@ class Run:
             )
         )
         self._advance = advance.lower(self.state, self.floats, self.scenes).compile()
+        self.memory_bytes = memory.check(self._advance, len(self.mesh.local_devices))
         self.compile_seconds += time.perf_counter() - start
         return time.perf_counter() - start
 

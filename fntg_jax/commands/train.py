@@ -67,7 +67,12 @@ def main(argv: list[str]) -> None:
 
         hosts.from_first(create)
     with hosts.together(f"continue with: fntg train --resume {folder}"):
-        _train(folder, options.resume is not None)
+        try:
+            _train(folder, options.resume is not None)
+        except ValueError:
+            if options.resume is None:
+                runfolder.discard(folder)
+            raise
 
 
 _WITH_RESUME = ("resume", "distributed", "coordinator", "num-processes", "process-id")
@@ -152,6 +157,8 @@ def _learn(run: Any, folder: Path) -> None:
     try:
         say("tracing and compiling ...")
         say(f"tracing and compiling took {run.compile():.1f} s")
+        if run.memory_bytes > 1e9:
+            say(f"this takes about {run.memory_bytes / 1e9:.1f} GB of memory")
         with progress_bar(run) as show:
             saved = time.monotonic()
             stop = 0
