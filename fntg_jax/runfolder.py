@@ -109,10 +109,11 @@ def restore(folder: Path) -> Run:
     text = hosts.from_first(lambda: json.dumps(dataclasses.asdict(load_config(folder))).encode())
     run = Run(config_from_dict(json.loads(text)))
     path = folder / "checkpoint.npz"
-    data = hosts.from_first(lambda: path.read_bytes() if path.exists() else b"")
+    # The "+" tells an empty file from none.
+    data = hosts.from_first(lambda: b"+" + path.read_bytes() if path.exists() else b"")
     if data:
         try:
-            with np.load(io.BytesIO(data), allow_pickle=False) as file:
+            with np.load(io.BytesIO(data[1:]), allow_pickle=False) as file:
                 run.from_arrays(dict(file))
         except Exception as error:
             raise ValueError(f"{path}: not a checkpoint of this run ({error})") from None
