@@ -18,6 +18,7 @@ import tyro
 
 COMMANDS = {
     "train": "learn controllers and write a run folder",
+    "sweep": "learn over a grid of settings and seeds, and compare them",
     "evaluate": "success of a controller on suites of unseen scenes",
     "rules": "the rule base in plain words, with how often each rule fires",
     "replay": "watch trials: one HTML page, or an animated GIF or WebP",
@@ -49,6 +50,13 @@ def main(argv: list[str] | None = None) -> None:
         importlib.import_module(f"fntg_jax.commands.{command}").main(rest)
     except ValueError as error:
         refuse(str(error))
+    except MemoryError:
+        refuse("out of memory: take fewer genomes, scenes or seeds")
+    except RuntimeError as error:
+        # What XLA raises; its class would have to be imported, with all of jax.
+        if "RESOURCE_EXHAUSTED" not in str(error) and "Out of memory" not in str(error):
+            raise
+        refuse("out of memory: take fewer genomes, scenes or seeds")
     except KeyboardInterrupt:
         # Outside of evolution, which stops at the end of a chunk, there is nothing to save.
         raise SystemExit(130) from None

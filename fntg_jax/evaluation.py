@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fntg_jax import fitness
+from fntg_jax import fitness, memory
 from fntg_jax.export import Controller
 from fntg_jax.rollout import Outcome, rollout_pairs
 
@@ -56,7 +56,10 @@ def evaluate(
     env = environment_for(controller, world) if env is None else env
     scenes = held_out_scenes(world, suite, num_scenes, seed)
     run = jax.jit(partial(rollout_pairs, controller.layout, output=controller.output))
-    outcome = run(jnp.asarray(controller.theta, jnp.float32)[None], scenes, env)
+    arguments = (jnp.asarray(controller.theta, jnp.float32)[None], scenes, env)
+    program = run.lower(*arguments).compile()
+    memory.check(program)
+    outcome = program(*arguments)
     outcome = jax.tree.map(lambda x: np.asarray(x[0]), outcome)
     parts = fitness.success(outcome)
     rates = {name: wilson(int(np.sum(getattr(parts, name))), num_scenes) for name in PARTS}

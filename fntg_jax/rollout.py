@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
@@ -91,13 +92,19 @@ def rollout(
 
 
 def rollout_pairs(
-    layout: Layout, theta: Float[Array, "P genes"], scenes: Any, env: Any, **options: Any
+    layout: Layout,
+    theta: Float[Array, "P genes"],
+    scenes: Any,
+    env: Any,
+    axis: str | None = None,
+    **options: Any,
 ) -> Outcome:
     """Every controller through every scene: theta [P, genes] and T scenes give outcomes [P, T].
 
     The pairs are laid out as one flat batch, because the inner loops then run over contiguous
-    trials instead of P times over T.  On CPU a large batch goes block by block, so that a
-    block's state stays in the cache.  options: those of `rollout`.
+    trials instead of P times over T.  A large batch goes block by block (`num_blocks`).
+    axis: inside `jax.shard_map`, the devices along this axis share the blocks, and all get all
+    outcomes.  options: those of `rollout`.
     """
     num_scenes = jax.tree.leaves(scenes)[0].shape[0]
     num = theta.shape[0] * num_scenes
@@ -107,11 +114,10 @@ def rollout_pairs(
         scene = jax.tree.map(lambda x: x[pair % num_scenes], scenes)
         return rollout(params, scene, env, **options)
 
-    num_blocks = round(num / _BLOCK) if jax.default_backend() == "cpu" else 1
-    if num_blocks <= 1:
+    if num_blocks(num) == 1:
         outcome = jax.vmap(trial)(jnp.arange(num))
     else:
-        outcome = _in_blocks(trial, num, num_blocks)
+        outcome = _in_blocks(trial, num, axis)
     return jax.tree.map(lambda x: x.reshape(-1, num_scenes, *x.shape[1:]), outcome)
 
 
@@ -120,13 +126,22 @@ def rollout_pairs(
 # 128: 0.89, 256: 0.83, 512: 0.76, 1024: 0.72, 2048: 0.78.  2048 trials of the quadruped, thousand
 # control steps/s: 42-55 all at once; 256: 35, 512: 59, 1024: 56.
 _BLOCK = 512
+_BLOCK_ELSEWHERE = 1 << 20  # a GPU wants many trials, within its memory
 _LANES = 16  # of a vector register
 
 
-def _in_blocks(trial, num, num_blocks):
-    """`trial` of 0 .. num - 1, leaves [num, ...], so many blocks one after the other."""
+def num_blocks(num_trials: int) -> int:
+    """Into how many blocks a batch is cut, on a CPU so that the state of a block stays in the
+    cache.  Whatever the number of devices, so that it changes no bit of a result."""
+    size = _BLOCK if jax.default_backend() == "cpu" else _BLOCK_ELSEWHERE
+    return max(round(num_trials / size), 1)
+
+
+def _in_blocks(trial, num, axis):
+    """`trial` of 0 .. num - 1, leaves [num, ...], one block after the other."""
+    blocks = num_blocks(num)
     # Whole registers; the last block is filled up with repetitions of the last trial.
-    size = -(-num // (num_blocks * _LANES)) * _LANES
+    size = -(-num // (blocks * _LANES)) * _LANES
 
     def block(first):
         # One array leaves the loop: of several, XLA's CPU compiler writes all rows anew after each
@@ -134,8 +149,14 @@ def _in_blocks(trial, num, num_blocks):
         pairs = jnp.minimum(first + jnp.arange(size), num - 1)
         return jax.vmap(lambda pair: ravel_pytree(trial(pair))[0], out_axes=1)(pairs)
 
-    rows = jax.lax.map(block, size * jnp.arange(num_blocks))  # [block, value, trial]
-    rows = jnp.moveaxis(rows, 1, -1).reshape(num_blocks * size, -1)[:num]
+    if axis is None:
+        rows = jax.lax.map(block, size * jnp.arange(blocks))  # [block, value, trial]
+    else:
+        # Every device gets as many blocks; the surplus repeats the last trial, too.
+        share = -(-blocks // jax.lax.axis_size(axis))
+        mine = share * jax.lax.axis_index(axis) + jnp.arange(share)
+        rows = jax.lax.all_gather(jax.lax.map(block, size * mine), axis, tiled=True)
+    rows = jnp.moveaxis(rows, 1, -1).reshape(rows.shape[0] * size, -1)[:num]
     like = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(trial, 0))
     return jax.vmap(ravel_pytree(like)[1])(rows)
 

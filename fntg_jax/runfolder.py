@@ -4,6 +4,7 @@ config.json, metrics.csv, history.npz, params.json (best controller of all seeds
 environment.json, checkpoint.npz, fig5.png and .pdf.  Every file is written atomically.
 """
 
+import contextlib
 import dataclasses
 import io
 import json
@@ -19,7 +20,7 @@ import jax
 import numpy as np
 
 import fntg_jax
-from fntg_jax import export, fitness, fntg, ga, plots
+from fntg_jax import checkpoint, export, fitness, fntg, ga, hosts, plots
 from fntg_jax.files import write_atomically
 from fntg_jax.runner import History, Result, Run, decode_history, start
 from fntg_jax.settings import TrainConfig, validate
@@ -36,6 +37,14 @@ def create(out: Path, config: TrainConfig) -> None:
         _write_json(out / "config.json", dataclasses.asdict(config))
     except OSError as error:
         raise ValueError(f"out = {out}: {error.strerror or error}") from None
+
+
+def discard(folder: Path) -> None:
+    """Take back what `create` made, where a run did not come to its first checkpoint."""
+    if hosts.is_first() and not (folder / "checkpoint.npz").exists():
+        (folder / "config.json").unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # somebody else's files in it
+            folder.rmdir()
 
 
 def load_config(folder: Path) -> TrainConfig:
@@ -90,20 +99,33 @@ def _from_dict(cls: type, data: Any) -> Any:
 
 def save_checkpoint(folder: Path, run: Run) -> None:
     """Write checkpoint.npz atomically."""
-    _write_npz(folder / "checkpoint.npz", run.to_arrays())
+    arrays = checkpoint.to_arrays(run)
+    if hosts.is_first():
+        _write_npz(folder / "checkpoint.npz", arrays)
 
 
 def restore(folder: Path) -> Run:
     """The run of a folder, at its last checkpoint.  Raises ValueError as `load_config`."""
-    config = load_config(folder)
+    text = hosts.from_first(lambda: json.dumps(dataclasses.asdict(load_config(folder))).encode())
+    config = config_from_dict(json.loads(text))
     path = folder / "checkpoint.npz"
-    if not path.exists():
+
+    def read() -> bytes:
+        try:
+            # The "+" tells an empty file from none.
+            return b"+" + path.read_bytes() if path.exists() else b""
+        except OSError as error:
+            why = error.strerror or error
+            raise ValueError(f"{path}: not a checkpoint of this run ({why})") from None
+
+    data = hosts.from_first(read)
+    if not data:
         return start(config)
     run = Run(config)
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with np.load(io.BytesIO(data[1:]), allow_pickle=False) as file:
             arrays = dict(file)
-        run.from_arrays(arrays)
+        checkpoint.from_arrays(run, arrays)
         # Compared as configurations: options that came later have their defaults.
         if config_from_dict(json.loads(str(arrays["config"]))) != config:
             raise ValueError("it was written by a run of another configuration")
@@ -116,6 +138,9 @@ def finish(folder: Path, run: Run) -> tuple[Path, Result]:
     """Write results and figures of a completed run; returns the figure's path and what the
     seeds came to."""
     history, result = run.history(), run.conclude()
+    figure = folder / "fig5.png"
+    if not hosts.is_first():
+        return figure, result
     rows = ["seed,generation,best,mean,num_nonfinite"]
     for s, g in np.ndindex(history.best.shape):
         seed = run.config.first_seed + s
@@ -138,7 +163,7 @@ def finish(folder: Path, run: Run) -> tuple[Path, Result]:
     )
     export.save(controller(run, result=result), folder / "params.json")
     _write_json(folder / "environment.json", environment(run))
-    figure = plots.fitness_curves(history, folder / "fig5.png", result.refined)
+    plots.fitness_curves(history, figure, result.refined)
     return figure, result
 
 
@@ -231,6 +256,7 @@ def environment(run: Run) -> dict[str, Any]:
         "platform": platform.platform(),
         "device": f"{device.platform}: {device.device_kind}",
         "num_devices": run.mesh.size,
+        "num_processes": jax.process_count(),
         "git_commit": _git_commit(),
         "compile_seconds": round(run.compile_seconds, 3),
         "run_seconds": round(run.run_seconds, 3),

@@ -1,28 +1,26 @@
 """The runner: evolution in jitted chunks, with progress, checkpoints and a run folder.
 
 All seeds advance together, one chunk of generations at a time: first a single one, then as many
-as take about a second.  One compiled call serves chunks of every length, and lengths change no
-result.  Seeds are spread over the local devices and mapped one after the other on each, so
-memory does not grow with their number, and a seed's result does not depend on how many run beside
-it.
+as take about a second.  One compiled call serves chunks of every length.  A seed's result depends
+neither on these lengths, nor on how many run beside it, nor on the devices (`parallel`).
 """
 
 import dataclasses
-import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding
+from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 
-from fntg_jax import ga, genome, refine
+from fntg_jax import ga, genome, hosts, memory
 from fntg_jax.layout import get_layout
 from fntg_jax.objective import Static, Traced, draw_scenes, score
+from fntg_jax.parallel import GENOME, make_mesh, over_seeds
 from fntg_jax.settings import TrainConfig, get_suite, get_world, validate
 
 
@@ -77,45 +75,66 @@ class Result(NamedTuple):
 class Run:
     """Learning runs of one configuration: `compile`, then `advance` until `done`.
 
-    The object only holds what must survive between chunks; the arithmetic is in pure
-    functions.  The first populations are random; `start` knows of others.
+    variants: configurations that differ in traced floats only (`program_key`), each of which runs
+    with all seeds.  The seed axis of histories and results then is the flat axis of
+    (variant, seed).  The object only holds what must survive between chunks; the arithmetic is in
+    pure functions.  The first populations are random; `start` knows of others.
     """
 
-    def __init__(self, config: TrainConfig):
+    def __init__(self, config: TrainConfig, variants: Sequence[TrainConfig] = ()):
         validate(config)
         self.config = config
+        self.num_rows = config.seeds * max(len(variants), 1)
         self.world = get_world(config.env)
         self.layout = get_layout(config.layout)
         self.env = self.world.make(**config.env_options)
         # All seeds share the pool, so that a seed's result does not depend on its company.
-        self.scenes = get_suite(self.world, config.suite)(
+        scenes = get_suite(self.world, config.suite)(
             jax.random.key(_POOL_KEY), config.scene_pool or config.num_scenes
         )
         self.chunk = 1
-        devices = jax.local_devices()[: config.seeds]
-        self.mesh = Mesh(np.asarray(devices), ("seed",))
+        self.mesh = make_mesh(self.num_rows, config.ga.population * config.num_scenes)
+        self.scenes = self._place(scenes, P())
         self.compile_seconds = 0.0
-        self.run_seconds = 0.0
-        seeds = config.first_seed + np.arange(self._padded_seeds())
-        self.state = jax.vmap(
-            lambda s: ga.init(jax.random.key(s), self.layout.num_genes, config.ga)
-        )(jnp.asarray(seeds, jnp.uint32))
-        self.records: list[History] = []
         self.origin = ""  # of the first populations, in words; "" if they are random
+        self.restart(variants or (config,))
+
+    def restart(self, variants: Sequence[TrainConfig]) -> None:
+        """Back to generation 0, with as many variants as before."""
+        config = self.config
+        rows = [_floats(v) for v in variants for _ in range(config.seeds)]
+        seeds = np.tile(config.first_seed + np.arange(config.seeds), len(variants))
+
+        def init(s):
+            return ga.init(jax.random.key(s), self.layout.num_genes, config.ga)
+
+        self.floats = self.place_rows(jax.tree.map(lambda *x: np.stack(x), *rows))
+        self.state = self.place_rows(seeds.astype(np.uint32), jax.vmap(init))
+        self.run_seconds = 0.0
+        self.records: list[History] = []
+
+    def place_rows(self, values: Any, fn: Callable[[Any], Any] = lambda x: x) -> Any:
+        """fn of values [num_rows, ...] on the devices of the rows."""
+        # Every device gets as many rows; the surplus is computed and dropped.
+        size = self.mesh.shape["seed"]
+        row = np.arange(-(-self.num_rows // size) * size) % self.num_rows
+        return self._place(jax.tree.map(lambda x: np.asarray(x)[row], values), P("seed"), fn)
+
+    def _place(self, values: Any, spec: P, fn: Callable[[Any], Any] = lambda x: x) -> Any:
+        """fn of values on the devices of the mesh: by the compiler, because `jax.device_put`
+        does not reach those of other processes."""
+        values = jax.tree.map(np.asarray, values)
+        place = jax.jit(fn, out_shardings=NamedSharding(self.mesh, spec)).lower(values).compile()
+        memory.check(place, len(self.mesh.local_devices))
+        return place(values)
 
     def config_static(self) -> Static:
         c = self.config
         return Static(self.layout, c.output, c.objective, c.num_scenes, c.scene_pool > 0)
 
     def traced(self) -> Traced:
-        c = self.config
-        horizon = dataclasses.replace(c.ga, horizon=float(c.generations))
-        return Traced(horizon, self.env, c.fitness, c.smooth, self.scenes)
-
-    def _padded_seeds(self) -> int:
-        # Every device gets as many; the surplus is computed and dropped.
-        size = self.mesh.size
-        return -(-self.config.seeds // size) * size
+        """What the compiled program is given, of the first row."""
+        return jax.tree.map(lambda x: x[0], self.floats)._replace(scenes=self.scenes)
 
     @property
     def generation(self) -> int:
@@ -129,13 +148,12 @@ class Run:
     def control_steps(self) -> int:
         """Control steps of all seeds so far."""
         c = self.config
-        return self.generation * c.seeds * c.ga.population * c.num_scenes * 220
+        return self.generation * self.num_rows * c.ga.population * c.num_scenes * 220
 
     def compile(self) -> float:
-        """Trace and compile a chunk; returns the seconds it took."""
+        """Trace and compile a chunk; returns the seconds it took.  Raises ValueError where memory
+        will not do."""
         start = time.perf_counter()
-        sharding = NamedSharding(self.mesh, P("seed"))
-        self.state = jax.device_put(self.state, sharding)
         advance = jax.jit(
             partial(
                 _advance,
@@ -143,9 +161,9 @@ class Run:
                 make_fitness=partial(_make_fitness, self.config_static()),
             )
         )
-        traced = self.traced()
-        compiled = advance.lower(self.state, traced, jnp.int32(1)).compile()
-        self._advance = lambda state, num: compiled(state, traced, jnp.int32(num))
+        arguments = self.state, self.floats, self.scenes, np.int32(1)
+        self._advance = advance.lower(*arguments).compile()
+        self.memory_bytes = memory.check(self._advance, len(self.mesh.local_devices))
         self.compile_seconds += time.perf_counter() - start
         return time.perf_counter() - start
 
@@ -153,11 +171,13 @@ class Run:
         """Run one chunk of generations, on all seeds."""
         start = time.perf_counter()
         num = min(self.chunk, self.config.generations - self.generation)
-        self.state, record = self._advance(self.state, num)
-        self.records.append(History(*(np.asarray(x)[: self.config.seeds, :num] for x in record)))
+        self.state, record = self._advance(self.state, self.floats, self.scenes, np.int32(num))
+        self.records.append(History(*(hosts.gather(x)[: self.num_rows, :num] for x in record)))
         seconds = time.perf_counter() - start
         self.run_seconds += seconds
-        self.chunk = min(max(int(_CHUNK_SECONDS * num / seconds), 1), _MAX_CHUNK)
+        # The same on all processes, whose clocks differ.
+        length = min(max(int(_CHUNK_SECONDS * num / seconds), 1), _MAX_CHUNK)
+        (self.chunk,) = hosts.largest(length)
         return self.progress()
 
     def progress(self) -> Progress:
@@ -174,7 +194,7 @@ class Run:
     def history(self) -> History:
         """All records so far."""
         length = self.state.bits.shape[-1]
-        none = np.zeros((self.config.seeds, 0), np.float32)
+        none = np.zeros((self.num_rows, 0), np.float32)
         nothing = History(none, none, none.astype(np.int32), np.zeros((*none.shape, length), bool))
         return History(*(np.concatenate(x, axis=1) for x in zip(nothing, *self.records)))
 
@@ -182,113 +202,66 @@ class Run:
         """The controller of each seed: see `Result`.  The same answer however often it is asked,
         also of a resumed run."""
         if self.config.scene_pool == 0 and self.config.refine_steps == 0:
-            bits = np.asarray(self.state.best_bits)[: self.config.seeds]
+            bits = hosts.gather(self.state.best_bits)[: self.num_rows]
             theta = np.asarray(self._decode(bits))
-            return Result(theta, np.asarray(self.state.best_fitness)[: len(bits)], bits, None)
-        static, traced = self.config_static(), self.traced()
+            return Result(theta, hosts.gather(self.state.best_fitness)[: len(bits)], bits, None)
+        static = self.config_static()
         suite = get_suite(self.world, self.config.suite)
         key = jax.random.key(_POOL_KEY + 1)
-        validation = suite(key, _VALIDATION) if static.fresh else self.scenes
+        validation = self._place(suite(key, _VALIDATION), P()) if static.fresh else self.scenes
         choose = jax.jit(
             partial(_conclude, config=self.config, static=static, mesh=self.mesh),
         )
-        theta, value, row, refined = choose(self.state, traced, validation)
-        num = self.config.seeds
+        theta, value, row, refined = choose(self.state, self.floats, self.scenes, validation)
+        num = self.num_rows
         bits = np.take_along_axis(
-            np.asarray(self.state.bits), np.asarray(row)[:, None, None], axis=1
+            hosts.gather(self.state.bits), hosts.gather(row)[:, None, None], axis=1
         )[:num, 0]
-        theta, value = np.asarray(theta)[:num], np.asarray(value)[:num]
+        theta, value = hosts.gather(theta)[:num], hosts.gather(value)[:num]
         if refined is None:
             return Result(theta, value, bits, None)
-        return Result(theta, value, None, np.asarray(refined)[:num])
+        return Result(theta, value, None, hosts.gather(refined)[:num])
 
     def _decode(self, bits):
         return genome.decode(bits, self.config.ga.num_bits, self.config.ga.gray)
 
-    # A checkpoint is the state and the records: everything else follows from the configuration.
 
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """The run as named arrays, to be written; `from_arrays` continues bit for bit."""
-        state, history = self.state, self.history()
-        return {
-            "config": np.asarray(json.dumps(dataclasses.asdict(self.config), sort_keys=True)),
-            "bits": np.packbits(np.asarray(state.bits), axis=-1),
-            "key": np.asarray(jax.random.key_data(state.key)),
-            "generation": np.asarray(state.generation),
-            "best_bits": np.packbits(np.asarray(state.best_bits), axis=-1),
-            "best_fitness": np.asarray(state.best_fitness),
-            "seconds": np.asarray([self.compile_seconds, self.run_seconds]),
-            "history_best": history.best,
-            "history_mean": history.mean,
-            "history_num_nonfinite": history.num_nonfinite,
-            "history_best_bits": np.packbits(history.best_bits, axis=-1),
-        }
-
-    def from_arrays(self, arrays: dict[str, np.ndarray]) -> None:
-        """Take over a checkpoint of this configuration.  Raises ValueError when it lacks
-        something."""
-        missing = [name for name in CHECKPOINT_ARRAYS if name not in arrays]
-        if missing:
-            raise ValueError(f"no {missing[0]} in it")
-        length = self.state.bits.shape[-1]
-
-        def unpack(name):
-            return np.unpackbits(arrays[name], axis=-1, count=length).astype(bool)
-
-        num = self.config.seeds
-        saved = ga.State(
-            bits=jnp.asarray(unpack("bits")),
-            key=jax.random.wrap_key_data(jnp.asarray(arrays["key"])),
-            generation=jnp.asarray(arrays["generation"]),
-            best_bits=jnp.asarray(unpack("best_bits")),
-            best_fitness=jnp.asarray(arrays["best_fitness"]),
-        )
-        # The number of devices, and with it the padding, may have changed.
-        self.state = jax.tree.map(
-            lambda new, old: jnp.concatenate([old[:num], new[num:]]), self.state, saved
-        )
-        self.compile_seconds, self.run_seconds = map(float, arrays["seconds"])
-        self.records = [
-            History(
-                arrays["history_best"],
-                arrays["history_mean"],
-                arrays["history_num_nonfinite"],
-                unpack("history_best_bits"),
-            )
-        ]
+def _floats(config: TrainConfig) -> Traced:
+    """The traced floats of a configuration; scenes come later."""
+    horizon = dataclasses.replace(config.ga, horizon=float(config.generations))
+    env = get_world(config.env).make(**config.env_options)
+    traced = Traced(horizon, env, config.fitness, config.smooth, None)
+    return jax.tree.map(np.asarray, traced)
 
 
-CHECKPOINT_ARRAYS = (
-    "config",
-    "bits",
-    "key",
-    "generation",
-    "best_bits",
-    "best_fitness",
-    "seconds",
-    "history_best",
-    "history_mean",
-    "history_num_nonfinite",
-    "history_best_bits",
-)
+def program_key(config: TrainConfig) -> tuple[Any, ...]:
+    """Configurations of equal key run in one compiled program: they differ in traced floats."""
+    groups = ("env_options", "ga", "fitness", "smooth")
+    rest = {n: v for n, v in vars(config).items() if n not in groups}
+    leaves, structure = jax.tree.flatten(_floats(config))
+    return structure, [(x.shape, x.dtype) for x in leaves], rest
 
 
 def _make_fitness(static: Static, traced: Traced) -> ga.FitnessFn:
     def fitness_fn(key, theta, progress):
-        return score(static, traced, theta, draw_scenes(static, traced, key), progress)
+        scenes = draw_scenes(static, traced, key)
+        return score(static, traced, theta, scenes, progress, axis=GENOME)
 
     return fitness_fn
 
 
-def _advance(state, traced, num, *, mesh, make_fitness):
-    """`num` generations, at most `_MAX_CHUNK`, for every seed: state leaves [S, ...], records
-    [S, _MAX_CHUNK, ...], of which the first num are filled.
+def _advance(state, floats, scenes, num, *, mesh, make_fitness):
+    """`num` generations, at most `_MAX_CHUNK`, for every row: leaves of state and floats [S, ...],
+    records [S, _MAX_CHUNK, ...], of which the first num are filled.
 
     num is traced: the first generation can be shown alone without compiling twice.
     """
-    fitness_fn = make_fitness(traced)
 
-    def one_seed(seed_state):
+    def one_seed(shared, seed_state, seed_floats):
+        scenes, num = shared
+        traced = seed_floats._replace(scenes=scenes)
+        fitness_fn = make_fitness(traced)
+
         def body(n, carry):
             new, record = ga.generation(carry[0], fitness_fn, traced.ga)
             return new, jax.tree.map(lambda xs, x: xs.at[n].set(x), carry[1], record)
@@ -298,23 +271,29 @@ def _advance(state, traced, num, *, mesh, make_fitness):
         records = ga.Record(zeros, zeros, zeros.astype(int), genomes)
         return jax.lax.fori_loop(0, num, body, (seed_state, records))
 
-    return _over_seeds(one_seed, mesh)(state)
+    return over_seeds(one_seed, mesh)((scenes, num), state, floats)
 
 
-def _conclude(state, traced, validation, *, config, static, mesh):
+def _conclude(state, floats, scenes, validation, *, config, static, mesh):
     """theta [S, genes], validated fitness [S], row of the population it comes from [S], and the
     course of the refinement [S, n] in fitness, or None."""
-    few = jax.tree.map(lambda x: x[:_SCREENING], validation)
+    if config.refine_steps:
+        # Here, because optax takes a good part of a second to load.
+        from fntg_jax import refine
 
-    def cost_fn(theta, scenes):
-        # Checkpointed: reverse mode then stores one state a control step.
-        return 10 / score(static, traced, theta[None], scenes, checkpoint=True)[0]
+    def one_seed(shared, bits, key, seed_floats):
+        scenes, validation = shared
+        few = jax.tree.map(lambda x: x[:_SCREENING], validation)
+        traced = seed_floats._replace(scenes=scenes)
 
-    def one_seed(bits, key):
+        def cost_fn(theta, some):
+            # Checkpointed: reverse mode then stores one state a control step.
+            return 10 / score(static, traced, theta[None], some, checkpoint=True)[0]
+
         theta = genome.decode(bits, config.ga.num_bits, config.ga.gray)
         # A screening on few scenes, then the best of it on all.
-        screened = _best_first(score(static, traced, theta, few))[:_FINALISTS]
-        value = score(static, traced, theta[screened], validation)
+        screened = _best_first(score(static, traced, theta, few, axis=GENOME))[:_FINALISTS]
+        value = score(static, traced, theta[screened], validation, axis=GENOME)
         order = _best_first(value)
         rows, value = screened[order], value[order]
         if config.refine_steps == 0:
@@ -331,23 +310,14 @@ def _conclude(state, traced, validation, *, config, static, mesh):
         best = jnp.argmin(refined.cost)
         return refined.theta[best], 10 / refined.cost[best], rows[best], 10 / refined.history[best]
 
-    theta, value, row, course = _over_seeds(one_seed, mesh)(state.bits, state.key)
+    theta, value, row, course = over_seeds(one_seed, mesh)(
+        (scenes, validation), state.bits, state.key, floats
+    )
     return theta, value, row, course if config.refine_steps else None
 
 
 def _best_first(value):
     return jnp.argsort(jnp.where(jnp.isfinite(value), -value, jnp.inf))
-
-
-def _over_seeds(fn, mesh):
-    """fn mapped over the leading axis: spread over devices, one after the other on each."""
-    return jax.shard_map(
-        lambda *xs: jax.lax.map(lambda x: fn(*x), xs),
-        mesh=mesh,
-        in_specs=P("seed"),
-        out_specs=P("seed"),
-        check_vma=False,
-    )
 
 
 def start(config: TrainConfig) -> Run:
@@ -358,8 +328,7 @@ def start(config: TrainConfig) -> Run:
         from fntg_jax import warmstart  # which reads run folders, and so imports this module
 
         first = warmstart.start(config)
-        bits = jnp.concatenate([first.bits, run.state.bits[config.seeds :]])
-        run.state = run.state._replace(bits=bits)
+        run.state = run.state._replace(bits=run.place_rows(first.bits))
         run.origin = first.origin
     return run
 

@@ -1,5 +1,6 @@
 """First populations out of an earlier run or a controller, instead of random ones."""
 
+import math
 import os
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 import fntg_jax
-from fntg_jax import genome, runfolder
+from fntg_jax import genome, hosts, runfolder
 from fntg_jax.layout import HIGH, LOW, get_layout
 from fntg_jax.settings import TrainConfig
 
@@ -46,10 +47,20 @@ def start(config: TrainConfig) -> Start:
     seeds, population and coding are the same; else neighbours of its best controller, or of the
     one in the file.  Raises ValueError (one line) when it cannot be read or has another layout.
     """
-    try:
-        return _start(config)
-    except ValueError as error:
-        raise ValueError(f"warm_start = {config.warm_start}: {error}") from None
+
+    def read() -> bytes:
+        try:
+            first = _start(config)
+        except ValueError as error:
+            raise ValueError(f"warm_start = {config.warm_start}: {error}") from None
+        return np.packbits(first.bits).tobytes() + os.fsencode(first.origin)
+
+    length = get_layout(config.layout).num_genes * config.ga.num_bits
+    shape = (config.seeds, config.ga.population, length)
+    data, num = hosts.from_first(read), math.prod(shape)
+    packed = np.frombuffer(data, np.uint8, count=-(-num // 8))
+    bits = jnp.asarray(np.unpackbits(packed, count=num).astype(bool).reshape(shape))
+    return Start(bits, os.fsdecode(data[len(packed) :]))
 
 
 def _start(config: TrainConfig) -> Start:

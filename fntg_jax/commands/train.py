@@ -23,66 +23,85 @@ class TrainOptions:
     Attributes:
         preset: starting point of all other options (given first or anywhere).
         out: run folder; default runs/PRESET-DATE-TIME.
-        resume: continue this interrupted run folder; takes no other option.
+        resume: continue this interrupted run folder; takes no other option of training.
+        distributed: run on several hosts, this being one of the processes; give all the same
+            options.
+        coordinator: HOST:PORT of process 0; default: as the cluster says.
+        num_processes: how many there are; default: as the cluster says.
+        process_id: which of them this is, from 0; default: as the cluster says.
     """
 
     config: Annotated[Any, tyro.conf.arg(name="")]
     preset: str = "paper"
     out: Path | None = None
     resume: Path | None = None
+    distributed: bool = False
+    coordinator: str | None = None
+    num_processes: int | None = None
+    process_id: int | None = None
 
 
 def main(argv: list[str]) -> None:
-    from fntg_jax import settings
+    options = parse_over_preset(TrainOptions, argv, "train")
+    meeting = (options.coordinator, options.num_processes, options.process_id)
+    if not options.distributed and any(x is not None for x in meeting):
+        raise ValueError("coordinator, num_processes, process_id: only with --distributed")
+    folder = options.resume
+    if folder is not None:
+        names = {word.partition("=")[0] for word in argv if word.startswith("--")}
+        if names - {f"--{x}" for x in _WITH_RESUME}:
+            raise ValueError("--resume takes the run folder and no other option of training")
+    xla.configure(num_cpu_devices=os.cpu_count() or 1)
+    from fntg_jax import hosts, runfolder, settings
 
-    preset = _preset(argv, list(settings.PRESETS))
-    options_type = dataclasses.make_dataclass(
-        "TrainOptions",
-        [("config", Annotated[settings.TrainConfig, tyro.conf.arg(name="")])]
-        + [
-            (f.name, f.type, dataclasses.field(default=f.default))
-            for f in dataclasses.fields(TrainOptions)[1:]
-        ],
-        frozen=True,
-    )
-    options_type.__doc__ = TrainOptions.__doc__
-    options = parse(
-        options_type, argv, "train", options_type(settings.PRESETS[preset], preset=preset)
-    )
-    resume = options.resume
-    if resume is not None:
-        if len(argv) > (1 if "=" in argv[0] else 2):
-            raise ValueError("--resume takes the run folder and no other option")
-        from fntg_jax import runfolder
-
-        config = runfolder.load_config(resume)
-        folder = resume
-    else:
-        config = options.config
-        settings.validate(config)
+    if options.distributed:
+        hosts.join(*meeting)
+    if folder is None:
+        settings.validate(options.config)
         stamp = time.strftime("%Y%m%d-%H%M%S")
-        folder = options.out or Path("runs") / f"{preset}-{stamp}"
-    xla.configure(num_cpu_devices=min(config.seeds, os.cpu_count() or 1))
-    from fntg_jax import runfolder, runner
+        folder = options.out or Path("runs") / f"{options.preset}-{stamp}"
 
-    if resume is None:
-        run = runner.start(config)
-        runfolder.create(folder, config)
-        if config.warm_start:
-            # What it starts from may be gone when the run is resumed.
-            runfolder.save_checkpoint(folder, run)
-            say(f"starting from {run.origin}")
-    else:
-        run = runfolder.restore(folder)
+        def create() -> bytes:
+            runfolder.create(folder, options.config)
+            return b""
+
+        hosts.from_first(create)
+    with hosts.together(f"continue with: fntg train --resume {folder}"):
+        try:
+            _train(folder, options.resume is not None)
+        except ValueError:
+            if options.resume is None:
+                runfolder.discard(folder)
+            raise
+
+
+_WITH_RESUME = ("resume", "distributed", "coordinator", "num-processes", "process-id")
+
+
+def _train(folder: Path, resumed: bool) -> None:
+    import jax
+
+    from fntg_jax import hosts, runfolder
+
+    run = runfolder.restore(folder)
+    if run.origin:
+        # What it starts from may be gone when the run is resumed.
+        runfolder.save_checkpoint(folder, run)
+        say(f"starting from {run.origin}")
+    config = run.config
+    where = f"folder {folder}"
+    if jax.process_count() > 1:
+        where = f"process {jax.process_index()} of {jax.process_count()}"
+        where += f", folder {folder}" if hosts.is_first() else ""
     say(
         f"{config.seeds} run{'s' if config.seeds > 1 else ''} of {config.generations} generations, "
         f"{config.ga.population} genomes x {config.num_scenes} scenes, world {config.env}, "
-        f"layout {config.layout}; folder {folder}"
+        f"layout {config.layout}; {where}"
     )
     if run.done:
         say("this run is complete: writing its results again")
     else:
-        if resume is not None:
+        if resumed:
             say(f"continuing after generation {run.generation}")
         _learn(run, folder)
     try:
@@ -94,8 +113,29 @@ def main(argv: list[str]) -> None:
         raise ValueError(f"{folder}: {error.strerror or error}") from None
     spread = f", median over seeds {np.median(result.fitness):.4g}" if config.seeds > 1 else ""
     say(f"best fitness {result.fitness.max():.4g}{spread}; {run.run_seconds:.2f} s of evolution")
-    say(f"figure {figure}, controller {folder / 'params.json'}")
-    print(folder)
+    if hosts.is_first():
+        say(f"figure {figure}, controller {folder / 'params.json'}")
+        print(folder)
+
+
+def parse_over_preset(cls: type, argv: list[str], command: str) -> Any:
+    """Options of `cls`, and as its field `config` those of `settings.TrainConfig` over the
+    preset's."""
+    from fntg_jax import settings
+
+    preset = _preset(argv, list(settings.PRESETS))
+    # Here and not at the top, because `settings` loads jax.
+    options_type = dataclasses.make_dataclass(
+        cls.__name__,
+        [("config", Annotated[settings.TrainConfig, tyro.conf.arg(name="")])]
+        + [
+            (f.name, f.type, dataclasses.field(default=f.default))
+            for f in dataclasses.fields(cls)[1:]
+        ],
+        frozen=True,
+    )
+    options_type.__doc__ = cls.__doc__
+    return parse(options_type, argv, command, options_type(settings.PRESETS[preset], preset=preset))
 
 
 def _preset(argv: list[str], known: list[str]) -> str:
@@ -114,18 +154,24 @@ _CHECKPOINT_SECONDS = 2.0
 
 def _learn(run: Any, folder: Path) -> None:
     """Advance a run to its end, with progress on stderr, leaving a checkpoint when stopped."""
-    from fntg_jax import runfolder
+    from fntg_jax import hosts, runfolder
 
     wanted: list[int] = []
     handlers = {s: signal.signal(s, lambda n, _: wanted.append(n)) for s in _STOP}
     try:
         say("tracing and compiling ...")
         say(f"tracing and compiling took {run.compile():.1f} s")
-        with _progress_bar(run) as show:
+        if run.memory_bytes > 1e9:
+            say(f"this takes about {run.memory_bytes / 1e9:.1f} GB of memory")
+        with progress_bar(run) as show:
             saved = time.monotonic()
-            while not run.done and not wanted:
+            stop = 0
+            while not run.done and not stop:
                 progress = run.advance()
-                if time.monotonic() - saved > _CHECKPOINT_SECONDS or run.done or wanted:
+                due = int(time.monotonic() - saved > _CHECKPOINT_SECONDS)
+                # Of several processes all save, and stop, when one wants to.
+                due, stop = hosts.largest(due, wanted[0] if wanted else 0)
+                if due or run.done or stop:
                     runfolder.save_checkpoint(folder, run)
                     saved = time.monotonic()
                 show(progress)
@@ -134,19 +180,19 @@ def _learn(run: Any, folder: Path) -> None:
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
-    if wanted and not run.done:
+    if stop and not run.done:
         say(
             f"stopped after generation {run.generation} of {run.config.generations}; "
             f"continue with: fntg train --resume {folder}"
         )
-        raise SystemExit(128 + wanted[0])
+        raise SystemExit(128 + stop)
 
 
 _STOP = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextlib.contextmanager
-def _progress_bar(run: Any):
+def progress_bar(run: Any):
     """A callable that shows a `runner.Progress`: a bar on a terminal; otherwise the first
     generation and ten lines."""
     total = run.config.generations

@@ -1,0 +1,36 @@
+"""The sweep scripts at a tiny budget: each runs, draws, and writes the numbers it drew."""
+
+import csv
+import importlib
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from experiments import sweeps
+
+OPTIONS = sweeps.Options(seeds=2, generations=2, population=8)
+# Settings; those that compile more than one program take long.
+SCRIPTS = [
+    ("dt", 5),
+    pytest.param("mutation_crossover", 20, marks=pytest.mark.slow),
+    pytest.param("budget", 6, marks=pytest.mark.slow),
+    pytest.param("bits", 10, marks=pytest.mark.slow),
+    pytest.param("selection", 5, marks=pytest.mark.slow),
+    pytest.param("layout", 12, marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize(("name", "settings"), SCRIPTS)
+def test_sweep(name, settings, tmp_path):
+    script = importlib.import_module(f"experiments.sweep_{name}")
+    table = script.run(OPTIONS)
+    path = script.plot(table, tmp_path / "figure.png")
+    picture = np.asarray(Image.open(path).convert("L"))
+    assert picture.shape[0] > 300 and 0.001 < (picture < 128).mean() < 0.6
+    assert path.with_suffix(".pdf").stat().st_size > 5000
+    rows = list(csv.DictReader(path.with_suffix(".csv").open()))
+    assert len(rows) == settings * OPTIONS.seeds
+    best = [float(row["best"]) for row in rows]
+    np.testing.assert_allclose(best, table.best.ravel(), rtol=1e-6)
+    assert len(set(best)) > settings // 2  # settings differ
