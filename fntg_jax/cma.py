@@ -140,5 +140,3 @@ def _make_step(n: int, population: int, costs_fn: CostsFn):
         return _Search(mean + search.sigma * y_mean, sigma, C, p_sigma, p_c), jnp.sum(~finite)
 
     return step
-
-

@@ -82,7 +82,7 @@ def fitness_curves(history: Any, path: str | Path, refined: np.ndarray | None = 
 
     history: best, mean [seed, generation].  Single runs as thin lines; with several seeds the
     median and its 95 % bootstrap band.  refined: [seed, n] validated fitness in the course of the
-    gradient refinement, which continues the figure.
+    refinement, which continues the figure.
     """
     figure, axes = _new(5.2, 3.6)
     seeds, generations = history.best.shape
@@ -109,7 +109,7 @@ def fitness_curves(history: Any, path: str | Path, refined: np.ndarray | None = 
         axes.plot(along, refined.T, color=GREEN, alpha=0.25 if seeds > 1 else 1, linewidth=0.8)
         label = "refinement (validation scenes)"
         axes.plot(along, np.median(refined, axis=0), color=GREEN, linewidth=1.8, label=label)
-    axes.set_xlabel("generation" if refined is None else "generation, then gradient steps")
+    axes.set_xlabel("generation" if refined is None else "generation, then refinement")
     axes.set_ylabel("fitness $F$")
     axes.set_xlim(0, end)
     if seeds == 1:

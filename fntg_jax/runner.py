@@ -17,7 +17,7 @@ import numpy as np
 from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 
-from fntg_jax import ga, genome, hosts, memory
+from fntg_jax import conclude, ga, genome, hosts, memory
 from fntg_jax.layout import get_layout
 from fntg_jax.objective import Static, Traced, draw_scenes, score
 from fntg_jax.parallel import GENOME, make_mesh, over_seeds
@@ -51,8 +51,6 @@ class Progress(NamedTuple):
 
 _POOL_KEY = 0x9001  # of the training scenes; the next of validation; evaluation draws others
 _VALIDATION = 2048  # scenes that the final controller is chosen on
-_SCREENING = 256  # of them, for a first look at the whole population
-_FINALISTS = 16
 _MAX_CHUNK = 10  # generations
 _CHUNK_SECONDS = 1.0  # how long a chunk should take
 
@@ -105,8 +103,10 @@ class Run:
         rows = [_floats(v) for v in variants for _ in range(config.seeds)]
         seeds = np.tile(config.first_seed + np.arange(config.seeds), len(variants))
 
+        ranges = self.layout.partition if config.initial == "partition" else None
+
         def init(s):
-            return ga.init(jax.random.key(s), self.layout.num_genes, config.ga)
+            return ga.init(jax.random.key(s), self.layout.num_genes, config.ga, ranges)
 
         self.floats = self.place_rows(jax.tree.map(lambda *x: np.stack(x), *rows))
         self.state = self.place_rows(seeds.astype(np.uint32), jax.vmap(init))
@@ -210,7 +210,7 @@ class Run:
         key = jax.random.key(_POOL_KEY + 1)
         validation = self._place(suite(key, _VALIDATION), P()) if static.fresh else self.scenes
         choose = jax.jit(
-            partial(_conclude, config=self.config, static=static, mesh=self.mesh),
+            partial(conclude.choose, config=self.config, static=static, mesh=self.mesh),
         )
         theta, value, row, refined = choose(self.state, self.floats, self.scenes, validation)
         num = self.num_rows
@@ -272,52 +272,6 @@ def _advance(state, floats, scenes, num, *, mesh, make_fitness):
         return jax.lax.fori_loop(0, num, body, (seed_state, records))
 
     return over_seeds(one_seed, mesh)((scenes, num), state, floats)
-
-
-def _conclude(state, floats, scenes, validation, *, config, static, mesh):
-    """theta [S, genes], validated fitness [S], row of the population it comes from [S], and the
-    course of the refinement [S, n] in fitness, or None."""
-    if config.refine_steps:
-        # Here, because optax takes a good part of a second to load.
-        from fntg_jax import refine
-
-    def one_seed(shared, bits, key, seed_floats):
-        scenes, validation = shared
-        few = jax.tree.map(lambda x: x[:_SCREENING], validation)
-        traced = seed_floats._replace(scenes=scenes)
-
-        def cost_fn(theta, some):
-            # Checkpointed: reverse mode then stores one state a control step.
-            return 10 / score(static, traced, theta[None], some, checkpoint=True)[0]
-
-        theta = genome.decode(bits, config.ga.num_bits, config.ga.gray)
-        # A screening on few scenes, then the best of it on all.
-        screened = _best_first(score(static, traced, theta, few, axis=GENOME))[:_FINALISTS]
-        value = score(static, traced, theta[screened], validation, axis=GENOME)
-        order = _best_first(value)
-        rows, value = screened[order], value[order]
-        if config.refine_steps == 0:
-            return theta[rows[0]], value[0], rows[0], jnp.zeros((0,))
-        refined = refine.refine(
-            jax.random.fold_in(key, config.generations),
-            theta[rows[: config.refine_top]],
-            cost_fn,
-            lambda k: draw_scenes(static, traced, k),
-            validation,
-            refine.adam(config.refine_steps, config.refine_rate),
-            config.refine_steps,
-        )
-        best = jnp.argmin(refined.cost)
-        return refined.theta[best], 10 / refined.cost[best], rows[best], 10 / refined.history[best]
-
-    theta, value, row, course = over_seeds(one_seed, mesh)(
-        (scenes, validation), state.bits, state.key, floats
-    )
-    return theta, value, row, course if config.refine_steps else None
-
-
-def _best_first(value):
-    return jnp.argsort(jnp.where(jnp.isfinite(value), -value, jnp.inf))
 
 
 def start(config: TrainConfig) -> Run:

@@ -35,9 +35,13 @@ class TrainConfig:
         generations: populations evaluated.
         warm_start: run folder (of any world) or parameter file with the same layout to start from
             instead of random populations.
+        initial: first population: "uniform": any genome; "partition": membership functions that
+            divide the range of their input, as fuzzy tools start from.
         ga: genetic algorithm.
-        refine_steps: gradient steps after evolution; 0 for none.
-        refine_rate: learning rate of the refinement (Adam, cosine decay), genes a step.
+        refine_steps: steps of refinement after evolution; 0 for none.
+        refine_method: "gradient": reverse mode and Adam; "cma": covariance matrix adaptation.
+        refine_scenes: scenes of a step; 0 for num_scenes.
+        refine_rate: learning rate of the gradient (Adam, cosine decay), genes a step.
         refine_top: individuals of a seed that are refined; the best validated one is kept.
         fitness: weights of the paper's fitness.
         smooth: weights of the smooth objective.
@@ -55,8 +59,11 @@ class TrainConfig:
     first_seed: int = 0
     generations: int = 95
     warm_start: str = ""
+    initial: Literal["uniform", "partition"] = "uniform"
     ga: GAConfig = GAConfig()
     refine_steps: int = 0
+    refine_method: Literal["gradient", "cma"] = "gradient"
+    refine_scenes: int = 0
     refine_rate: float = 0.003
     refine_top: int = 4
     fitness: PaperWeights = PaperWeights()
@@ -72,19 +79,24 @@ PRESETS = {
         num_scenes=32,
         scene_pool=16384,
         objective="smooth",
-        generations=300,
+        generations=200,
+        initial="partition",
         ga=GAConfig(
             population=512,
             gray=True,
             selection="tournament",
             tournament_size=4,
-            num_islands=4,
+            num_islands=8,
             merge=0.5,
-            mutation_rate=0.02,
-            mutation_decay=0.2,
+            mutation_rate=0.015,
+            mutation_decay=0.13,
             crossover_rate=0.9,
             num_elites=2,
         ),
+        refine_steps=1000,
+        refine_method="cma",
+        refine_scenes=192,
+        refine_top=1,
     ),
 }
 
@@ -98,6 +110,7 @@ def validate(config: TrainConfig) -> None:
         ("first_seed", 0),
         ("scene_pool", 0),
         ("refine_steps", 0),
+        ("refine_scenes", 0),
         ("refine_top", 1),
     ):
         value = getattr(config, name)
@@ -124,21 +137,29 @@ def validate(config: TrainConfig) -> None:
         raise ValueError(
             f"refine_top = {config.refine_top}: allowed are 1 to {min(16, config.ga.population)}"
         )
-    if config.objective not in OBJECTIVES:
-        raise ValueError(f"objective = {config.objective!r}: allowed are {', '.join(OBJECTIVES)}")
-    positive = ("gamma", "near", "still", "gate", "clearance_start", "ramp")
-    for group in ("fitness", "smooth"):
+    for name, allowed in _WORDS.items():
+        if (word := getattr(config, name)) not in allowed:
+            raise ValueError(f"{name} = {word!r}: allowed are {', '.join(allowed)}")
+    positive = {
+        "fitness": ("gamma",),
+        "smooth": ("near", "still", "gate", "clearance", "clearance_start", "ramp"),
+    }
+    for group, names in positive.items():
         for name, value in dataclasses.asdict(getattr(config, group)).items():
             if not (np.isfinite(value) and value >= 0):
                 raise ValueError(f"{group}.{name} = {value}: allowed are finite numbers from 0")
-            if value == 0 and name in positive and (group, name) != ("fitness", "still"):
+            if value == 0 and name in names:
                 raise ValueError(f"{group}.{name} = {value}: allowed are numbers above 0")
     world = get_world(config.env)
     get_suite(world, config.suite)
     world.make(**config.env_options)
 
 
-OBJECTIVES = ("paper", "smooth")
+_WORDS = {
+    "objective": ("paper", "smooth"),
+    "initial": ("uniform", "partition"),
+    "refine_method": ("gradient", "cma"),
+}
 
 
 def get_suite(world: Any, suite: str) -> Callable[..., Any]:

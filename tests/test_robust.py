@@ -9,6 +9,7 @@ import numpy as np
 
 from fntg_jax import fitness, ga, genome, objective, runner, settings
 from fntg_jax.fitness import SmoothWeights
+from fntg_jax.layout import get_layout
 from fntg_jax.rollout import Outcome
 
 
@@ -42,13 +43,17 @@ def outcome(d=0.0, v=0.0, clearance=1.0, failed=False):
 def test_smooth_cost_by_hand():
     w = SmoothWeights()
     assert fitness.smooth_cost(outcome()) == 0
-    far = 1.3 * math.log1p((1.0 / 0.05) ** 2)
+    far = math.log1p((0.94 / 0.05) ** 2) + math.log1p((0.92 / 0.05) ** 2)
     np.testing.assert_allclose(fitness.smooth_cost(outcome(d=1.0)), far, rtol=1e-6)
-    moving = w.stop * math.log1p((0.1 / 0.015) ** 2)
+    moving = math.log1p((0.08 / 0.01) ** 2)
     np.testing.assert_allclose(fitness.smooth_cost(outcome(v=0.1)), moving, rtol=1e-6)
-    # The weight of clearance rises from its start to its end value over half of the run.
-    for progress, weight in ((0.0, 2.5), (0.25, math.sqrt(2.5 * 6)), (0.5, 6), (1.0, 6)):
-        cost = fitness.smooth_cost(outcome(clearance=0.065), w, progress)
+    # Stopping counts half at the gate.
+    at_gate = outcome(d=0.4, v=0.1)
+    alone = fitness.smooth_cost(outcome(d=0.4))
+    np.testing.assert_allclose(fitness.smooth_cost(at_gate) - alone, moving / 2, rtol=1e-5)
+    # The weight of clearance rises from its start to its end value over 0.7 of the run.
+    for progress, weight in ((0.0, 1.5), (0.35, math.sqrt(1.5 * 8)), (0.7, 8), (1.0, 8)):
+        cost = fitness.smooth_cost(outcome(clearance=0.06), w, progress)
         np.testing.assert_allclose(cost, weight, rtol=1e-5)
     # Arriving roughly beats standing still far away: no local optimum of doing nothing.
     arrived = fitness.smooth_cost(outcome(d=0.05, clearance=0.05), w, 0.0)
@@ -56,11 +61,35 @@ def test_smooth_cost_by_hand():
     assert np.isfinite(fitness.smooth_cost(outcome(failed=True)))
 
 
+def test_what_costs_nothing_succeeds():
+    """The thresholds of the smooth cost lie inside those of success, and not by much."""
+    free = outcome(d=0.06, v=0.02, clearance=0.16)
+    assert fitness.smooth_cost(free) == 0 and fitness.success(free).success
+    for worse in (outcome(d=0.11), outcome(v=0.031), outcome(clearance=0.144)):
+        assert fitness.smooth_cost(worse) > 0 and not fitness.success(worse).success
+
+
+def test_a_partition_starts_with_labels_that_divide_their_input():
+    layout = get_layout("paper-31")
+    config = ga.GAConfig(population=200, gray=True)
+    state = ga.init(jax.random.key(0), layout.num_genes, config, layout.partition)
+    theta = np.asarray(genome.decode(state.bits, config.num_bits, config.gray))
+    low, high = layout.partition.T
+    step = 10 / 32767
+    assert (theta >= low - step).all() and (theta <= high + step).all()
+    names = [g.name for g in layout.genes]
+    genes = dict(zip(names, theta.T))
+    assert (genes["a_B1"] < 0).all() and (genes["a_B2"] > 0).all()  # near falls, far rises
+    assert (abs(np.median(theta, axis=0) - (low + high) / 2) < 0.2 * (high - low)).all()
+    # Rule constants start anywhere.
+    assert genes["V_121"].min() < -4.5 and genes["V_121"].max() > 4.5
+
+
 def test_the_final_controller_is_the_best_of_its_population_on_validation_scenes(monkeypatch):
     monkeypatch.setattr(runner, "_VALIDATION", 64)
     config = dataclasses.replace(
         settings.PRESETS["robust"],
-        ga=dataclasses.replace(settings.PRESETS["robust"].ga, population=16),
+        ga=dataclasses.replace(settings.PRESETS["robust"].ga, population=64),
         generations=2,
         num_scenes=4,
         scene_pool=16,
@@ -80,3 +109,23 @@ def test_the_final_controller_is_the_best_of_its_population_on_validation_scenes
         scores = value(theta)
         np.testing.assert_allclose(result.fitness[n], scores.max(), rtol=1e-4)
         np.testing.assert_allclose(result.theta[n], theta[scores.argmax()], atol=1e-6)
+
+
+def test_covariance_adaptation_continues_from_the_best_of_the_population(monkeypatch):
+    monkeypatch.setattr(runner, "_VALIDATION", 64)
+    robust = settings.PRESETS["robust"]
+    config = dataclasses.replace(
+        robust,
+        ga=dataclasses.replace(robust.ga, population=32),
+        generations=2,
+        num_scenes=4,
+        scene_pool=64,
+        refine_steps=30,
+        refine_scenes=8,
+    )
+    plain = runner.train(dataclasses.replace(config, refine_steps=0)).conclude()
+    result = runner.train(config).conclude()
+    assert result.refined.shape == (1, 3)
+    np.testing.assert_allclose(result.refined[0, 0], plain.fitness[0], rtol=1e-4)
+    assert result.fitness[0] >= result.refined[0, 0]
+    assert (abs(result.theta) <= 5).all() and result.bits is None

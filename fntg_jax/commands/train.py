@@ -106,7 +106,7 @@ def _train(folder: Path, resumed: bool) -> None:
         _learn(run, folder)
     try:
         if config.scene_pool or config.refine_steps:
-            what = f", {config.refine_steps} gradient steps" if config.refine_steps else ""
+            what = f", {config.refine_steps} steps of refinement" if config.refine_steps else ""
             say(f"choosing the controllers on validation scenes{what} ...")
         figure, result = runfolder.finish(folder, run)
     except OSError as error:
