@@ -51,11 +51,16 @@ def num_blocks(num_genomes: int, num_scenes: int) -> int:
 
 
 def over_seeds(fn: Callable[..., Any], mesh: Mesh) -> Callable[..., Any]:
-    """fn mapped over the leading axis: spread over "seed", one after the other on each device."""
+    """(shared, rows) -> fn(shared, *row) for each row, the leading axis of the leaves of the
+    tuple `rows`: spread over "seed", one after the other on each device.
+
+    What all rows use has to be passed as `shared`: arrays that fn closes over keep a sharding that
+    does not fit inside.
+    """
     return jax.shard_map(
-        lambda *xs: jax.lax.map(lambda x: fn(*x), xs),
+        lambda shared, rows: jax.lax.map(lambda row: fn(shared, *row), rows),
         mesh=mesh,
-        in_specs=P("seed"),
+        in_specs=(P(), P("seed")),
         out_specs=P("seed"),
         check_vma=False,
     )

@@ -316,11 +316,11 @@ def _advance(state, floats, scenes, *, mesh, num_generations, make_fitness):
     """A chunk of generations for every row; leaves of state and floats [S, ...], records
     [S, n, ...]."""
 
-    def one_seed(seed_state, seed_floats):
+    def one_seed(scenes, seed_state, seed_floats):
         traced = seed_floats._replace(scenes=scenes)
         return ga.evolve(seed_state, num_generations, make_fitness(traced), traced.ga)
 
-    return over_seeds(one_seed, mesh)(state, floats)
+    return over_seeds(one_seed, mesh)(scenes, (state, floats))
 
 
 def _conclude(state, floats, scenes, validation, *, config, static, mesh):
@@ -329,9 +329,10 @@ def _conclude(state, floats, scenes, validation, *, config, static, mesh):
     if config.refine_steps:
         # Here, because optax takes a good part of a second to load.
         from fntg_jax import refine
-    few = jax.tree.map(lambda x: x[:_SCREENING], validation)
 
-    def one_seed(bits, key, seed_floats):
+    def one_seed(shared, bits, key, seed_floats):
+        scenes, validation = shared
+        few = jax.tree.map(lambda x: x[:_SCREENING], validation)
         traced = seed_floats._replace(scenes=scenes)
 
         def cost_fn(theta, some):
@@ -358,7 +359,9 @@ def _conclude(state, floats, scenes, validation, *, config, static, mesh):
         best = jnp.argmin(refined.cost)
         return refined.theta[best], 10 / refined.cost[best], rows[best], 10 / refined.history[best]
 
-    theta, value, row, course = over_seeds(one_seed, mesh)(state.bits, state.key, floats)
+    theta, value, row, course = over_seeds(one_seed, mesh)(
+        (scenes, validation), (state.bits, state.key, floats)
+    )
     return theta, value, row, course if config.refine_steps else None
 
 
