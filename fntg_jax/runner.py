@@ -271,7 +271,7 @@ def _advance(state, floats, scenes, num, *, mesh, make_fitness):
         records = ga.Record(zeros, zeros, zeros.astype(int), genomes)
         return jax.lax.fori_loop(0, num, body, (seed_state, records))
 
-    return over_seeds(one_seed, mesh)((scenes, num), state, floats)
+    return over_seeds(one_seed, mesh)((scenes, num), (state, floats))
 
 
 def _conclude(state, floats, scenes, validation, *, config, static, mesh):
@@ -311,7 +311,7 @@ def _conclude(state, floats, scenes, validation, *, config, static, mesh):
         return refined.theta[best], 10 / refined.cost[best], rows[best], 10 / refined.history[best]
 
     theta, value, row, course = over_seeds(one_seed, mesh)(
-        (scenes, validation), state.bits, state.key, floats
+        (scenes, validation), (state.bits, state.key, floats)
     )
     return theta, value, row, course if config.refine_steps else None
 
