@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
 from fntg_jax import fntg
@@ -94,19 +95,48 @@ def rollout_pairs(
 ) -> Outcome:
     """Every controller through every scene: theta [P, genes] and T scenes give outcomes [P, T].
 
-    The pairs are laid out as one flat batch, because the inner loops then run over P * T
-    contiguous trials instead of P times over T.  options: those of `rollout`.
+    The pairs are laid out as one flat batch, because the inner loops then run over contiguous
+    trials instead of P times over T.  On CPU a large batch goes block by block, so that a
+    block's state stays in the cache.  options: those of `rollout`.
     """
-    num_theta = theta.shape[0]
     num_scenes = jax.tree.leaves(scenes)[0].shape[0]
-    flat_theta = jnp.repeat(theta, num_scenes, axis=0)
-    flat_scenes = jax.tree.map(lambda x: jnp.concatenate([x] * num_theta), scenes)
+    num = theta.shape[0] * num_scenes
 
-    def one(t, scene):
-        return rollout(expand_scalars(layout, t), scene, env, **options)
+    def trial(pair):
+        params = expand_scalars(layout, theta[pair // num_scenes])
+        scene = jax.tree.map(lambda x: x[pair % num_scenes], scenes)
+        return rollout(params, scene, env, **options)
 
-    outcome = jax.vmap(one)(flat_theta, flat_scenes)
-    return jax.tree.map(lambda x: x.reshape(num_theta, num_scenes, *x.shape[1:]), outcome)
+    num_blocks = round(num / _BLOCK) if jax.default_backend() == "cpu" else 1
+    if num_blocks <= 1:
+        outcome = jax.vmap(trial)(jnp.arange(num))
+    else:
+        outcome = _in_blocks(trial, num, num_blocks)
+    return jax.tree.map(lambda x: x.reshape(-1, num_scenes, *x.shape[1:]), outcome)
+
+
+# Trials of a block.  60 000 trials of the kinematic world, speed relative to the C version on one
+# core (Xeon 2.8 GHz, jax 0.10.2, disturbed by others): 0.3 all at once; in blocks of 64: 0.87,
+# 128: 0.89, 256: 0.83, 512: 0.75, 1024: 0.72, 2048: 0.78.  The paper's 240 trials stay one block.
+_BLOCK = 256
+_LANES = 16  # of a vector register
+
+
+def _in_blocks(trial, num, num_blocks):
+    """`trial` of 0 .. num - 1, leaves [num, ...], so many blocks one after the other."""
+    # Whole registers; the last block is filled up with repetitions of the last trial.
+    size = -(-num // (num_blocks * _LANES)) * _LANES
+
+    def block(first):
+        # One array leaves the loop: of several, XLA's CPU compiler writes all rows anew after each
+        # block (35 instead of 76 M control steps/s).
+        pairs = jnp.minimum(first + jnp.arange(size), num - 1)
+        return jax.vmap(lambda pair: ravel_pytree(trial(pair))[0], out_axes=1)(pairs)
+
+    rows = jax.lax.map(block, size * jnp.arange(num_blocks))  # [block, value, trial]
+    rows = jnp.moveaxis(rows, 1, -1).reshape(num_blocks * size, -1)[:num]
+    like = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(trial, 0))
+    return jax.vmap(ravel_pytree(like)[1])(rows)
 
 
 class Trajectory(NamedTuple):

@@ -7,6 +7,7 @@ import pytest
 
 from envs import kinematic, scenes
 from fntg_jax import fitness, fntg
+from fntg_jax import rollout as rollout_module
 from fntg_jax.layout import LAYOUTS, expand_scalars
 from fntg_jax.rollout import SAMPLE_STEPS, rollout, rollout_pairs, trajectory
 from tests import reference
@@ -139,3 +140,16 @@ def test_gradient_through_a_trial_is_finite_and_right():
     assert np.isfinite(slope).all()
     assert np.abs(slope).max() > 1e-3
     assert slope @ along == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-3)
+
+
+@pytest.mark.parametrize("num_thetas", [100, 231])
+def test_blocks_of_a_large_batch_change_nothing(num_thetas, monkeypatch):
+    """400 and 924 pairs: two and four blocks, the last one not full."""
+    layout, env = LAYOUTS["paper-31"], kinematic.make()
+    thetas = jnp.asarray(0.3 * random_thetas(layout, num_thetas, seed=6), jnp.float32)
+    found = jax.jit(partial(rollout_pairs, layout))(thetas, some("paper", 4), env)
+    monkeypatch.setattr(rollout_module, "_BLOCK", 10**6)
+    whole = jax.jit(partial(rollout_pairs, layout))(thetas, some("paper", 4), env)
+    assert found.distance.shape == (num_thetas, 4, 3) and found.failed.dtype == bool
+    jax.tree.map(partial(np.testing.assert_allclose, atol=1e-4), found, whole)
+    assert np.ptp(found.distance) > 0.5
