@@ -142,9 +142,9 @@ def test_gradient_through_a_trial_is_finite_and_right():
     assert slope @ along == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-3)
 
 
-@pytest.mark.parametrize("num_thetas", [100, 231])
+@pytest.mark.parametrize("num_thetas", [231, 331])
 def test_blocks_of_a_large_batch_change_nothing(num_thetas, monkeypatch):
-    """400 and 924 pairs: two and four blocks, the last one not full."""
+    """924 and 1324 pairs: two and three blocks, the last one not full."""
     layout, env = LAYOUTS["paper-31"], kinematic.make()
     thetas = jnp.asarray(0.3 * random_thetas(layout, num_thetas, seed=6), jnp.float32)
     found = jax.jit(partial(rollout_pairs, layout))(thetas, some("paper", 4), env)
