@@ -241,7 +241,6 @@ def test_refinement_improves_a_random_controller(command, tmp_path):
     assert status == 0, err
     found = export.load(tmp_path / "refined.json")
     assert found.provenance["objective"] == "smooth" and "WORSE" not in err
-    before, after = (
-        float(word.split()[-2]) for word in err.split("validation scenes:")[1].split(",")[:2]
-    )
+    line = next(x for x in err.split("\n") if "validation scenes" in x).split()
+    before, after = (float(line[line.index(word) - 1]) for word in ("before,", "after"))
     assert after < 0.95 * before

@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from fntg_jax import xla
-from fntg_jax.cli import load_controller, parse
+from fntg_jax.cli import load_controller, parse, say
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,10 +30,15 @@ class EvaluateOptions:
     """options of that world by name, over the controller's own limits and control step."""
     json: bool = False
     """print JSON instead of a table."""
+    failures: Path | None = None
+    """also draw trials that failed, up to 12 a suite, into this .png (and a .pdf beside it)."""
 
 
 def main(argv: list[str]) -> None:
     options = parse(EvaluateOptions, argv, "evaluate")
+    picture = options.failures
+    if picture is not None and (picture.suffix != ".png" or not picture.parent.is_dir()):
+        raise ValueError(f"failures = {picture}: allowed is a .png file in a folder that exists")
     xla.configure()
     from fntg_jax import evaluation, settings
 
@@ -47,6 +52,13 @@ def main(argv: list[str]) -> None:
         evaluation.evaluate(controller, world, name, options.scenes, options.seed, env)
         for name in names
     ]
+    if picture is not None:
+        from fntg_jax import failures
+
+        try:
+            say(f"failures {failures.picture(controller, world, env, results, picture)}")
+        except OSError as error:
+            raise ValueError(f"failures = {picture}: {error.strerror or error}") from None
     if options.json:
         document = {
             r.suite: {"scenes": r.num_scenes, **{k: v._asdict() for k, v in r.rates.items()}}
