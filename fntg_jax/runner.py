@@ -304,7 +304,7 @@ def _conclude(state, floats, scenes, validation, *, config, static, mesh):
             cost_fn,
             lambda k: draw_scenes(static, traced, k),
             validation,
-            refine.adam(config.refine_steps, config.refine_rate),
+            refine.optimiser("adam", config.refine_steps, config.refine_rate),
             config.refine_steps,
         )
         best = jnp.argmin(refined.cost)
