@@ -198,7 +198,9 @@ def write_growth(rows: list[dict], folder: Path) -> Path:
             }[axis]
         )
         panel.set_ylabel("seconds, 5 generations" if axis == "seeds" else "seconds, 1 generation")
-    panels[0, 0].legend(title="(cores)", fontsize=8)
+    # In the panel with most room.
+    handles = panels[0, 0].get_legend_handles_labels()
+    panels[0, 2].legend(*handles, title="(cores)", fontsize=8, loc="lower right")
     return plots.save(figure, folder / "growth.png")
 
 

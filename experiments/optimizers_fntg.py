@@ -139,7 +139,7 @@ def gradient(num_starts: int, rate: float) -> Search:
         if theta is None:
             theta = jax.random.uniform(key, (num_starts, 31), minval=LOW, maxval=HIGH)
         # The state does not depend on the length of the schedule.
-        return theta[:num_starts], refine.adam(1, rate).init(theta[:num_starts])
+        return theta[:num_starts], refine.optimiser("adam", 1, rate).init(theta[:num_starts])
 
     def iterate(key, state, progress, iterations, cost_fn, draw):
         theta, moments = state
@@ -152,7 +152,9 @@ def gradient(num_starts: int, rate: float) -> Search:
         slope = jnp.where(jnp.all(jnp.isfinite(slope), axis=1, keepdims=True), slope, 0)
         # Each start has its own clipping: one steep one must not stop the rest.
         norm = jnp.maximum(jnp.linalg.norm(slope, axis=1, keepdims=True), 1.0)
-        updates, moments = refine.adam(iterations, rate).update(slope / norm, moments, theta)
+        updates, moments = refine.optimiser("adam", iterations, rate).update(
+            slope / norm, moments, theta
+        )
         new = jnp.clip(optax.apply_updates(theta, updates), LOW, HIGH)
         return (new, moments), theta[jnp.argmin(value)]
 

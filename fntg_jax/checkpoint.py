@@ -27,14 +27,17 @@ _ARRAYS = (
 
 def to_arrays(run: Run) -> dict[str, np.ndarray]:
     """The run as named arrays, to be written; `from_arrays` continues bit for bit."""
-    state, history = run.state, run.history()
+    history = run.history()
+    # Without what the devices were filled up with.
+    state = run.state._replace(key=jax.random.key_data(run.state.key))
+    state = jax.tree.map(lambda x: hosts.gather(x)[: run.num_rows], state)
     return {
         "config": np.asarray(json.dumps(dataclasses.asdict(run.config), sort_keys=True)),
-        "bits": np.packbits(hosts.gather(state.bits), axis=-1),
-        "key": hosts.gather(jax.random.key_data(state.key)),
-        "generation": hosts.gather(state.generation),
-        "best_bits": np.packbits(hosts.gather(state.best_bits), axis=-1),
-        "best_fitness": hosts.gather(state.best_fitness),
+        "bits": np.packbits(state.bits, axis=-1),
+        "key": state.key,
+        "generation": state.generation,
+        "best_bits": np.packbits(state.best_bits, axis=-1),
+        "best_fitness": state.best_fitness,
         "seconds": np.asarray([run.compile_seconds, run.run_seconds]),
         "history_best": history.best,
         "history_mean": history.mean,
@@ -61,7 +64,7 @@ def from_arrays(run: Run, arrays: dict[str, np.ndarray]) -> None:
         "best_bits": unpack("best_bits"),
         "best_fitness": arrays["best_fitness"],
     }
-    # The number of devices, and with it the padding, may have changed.
+    # Earlier versions wrote what the devices were filled up with, too.
     saved = {name: x[: run.num_rows] for name, x in saved.items()}
 
     def to_state(x):

@@ -1,7 +1,6 @@
 """Success of a controller on suites of scenes, with Wilson intervals."""
 
 import math
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -21,6 +20,9 @@ class Rate(NamedTuple):
     share: float
     low: float
     high: float
+
+    def __str__(self) -> str:
+        return f"{100 * self.share:.1f} % ({100 * self.low:.1f}-{100 * self.high:.1f})"
 
 
 class Evaluation(NamedTuple):
@@ -55,15 +57,23 @@ def evaluate(
     """
     env = environment_for(controller, world) if env is None else env
     scenes = held_out_scenes(world, suite, num_scenes, seed)
-    run = jax.jit(partial(rollout_pairs, controller.layout, output=controller.output))
-    arguments = (jnp.asarray(controller.theta, jnp.float32)[None], scenes, env)
-    program = run.lower(*arguments).compile()
+    theta = jnp.asarray(controller.theta, jnp.float32)[None]
+    program = _run.lower(controller.layout, theta, scenes, env, output=controller.output).compile()
     memory.check(program)
-    outcome = program(*arguments)
+    outcome = program(theta, scenes, env)
     outcome = jax.tree.map(lambda x: np.asarray(x[0]), outcome)
     parts = fitness.success(outcome)
     rates = {name: wilson(int(np.sum(getattr(parts, name))), num_scenes) for name in PARTS}
     return Evaluation(suite, num_scenes, rates, scenes, outcome, np.asarray(parts.success))
+
+
+# Suites whose scenes are alike, and several controllers, share a compilation.
+_run = jax.jit(rollout_pairs, static_argnums=0, static_argnames="output")
+
+
+def held_out_suites(world: Any) -> list[str]:
+    """The suites of a world that test: all but the paper's learning set-up."""
+    return [name for name in world.suites if name != "paper"]
 
 
 def held_out_scenes(world: Any, suite: str, num_scenes: int, seed: int = 0) -> Any:

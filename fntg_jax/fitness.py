@@ -110,14 +110,14 @@ class SmoothWeights:
 
     near: float = 0.05
     reach: float = 0.06
-    arrival: float = 1.0
+    arrival: float = 0.5
     arrived: float = 0.08
     stop: float = 1.0
     slow: float = 0.02
     still: float = 0.01
     gate: float = 0.4
     margin: float = 0.16
-    clearance: float = 8.0
+    clearance: float = 10.0
     clearance_start: float = 1.5
     ramp: float = 0.7
 

@@ -39,17 +39,16 @@ def make_mesh(num_seeds: int, num_trials: int) -> Mesh:
 
 
 def over_seeds(fn: Callable[..., Any], mesh: Mesh) -> Callable[..., Any]:
-    """(shared, *rows) -> `fn(shared, *row)` mapped over the leading axis of rows: spread over
-    "seed", one after the other on each device."""
+    """(shared, rows) -> fn(shared, *row) for each row, the leading axis of the leaves of the
+    tuple `rows`: spread over "seed", one after the other on each device.
 
-    def mapped(shared, *rows):
-        # What all rows share is an argument, because a closure would bring its own sharding along.
-        return jax.shard_map(
-            lambda shared, *xs: jax.lax.map(lambda x: fn(shared, *x), xs),
-            mesh=mesh,
-            in_specs=(P(), *[P("seed")] * len(rows)),
-            out_specs=P("seed"),
-            check_vma=False,
-        )(shared, *rows)
-
-    return mapped
+    What all rows use has to be passed as `shared`: arrays that fn closes over keep a sharding that
+    does not fit inside.
+    """
+    return jax.shard_map(
+        lambda shared, rows: jax.lax.map(lambda row: fn(shared, *row), rows),
+        mesh=mesh,
+        in_specs=(P(), P("seed")),
+        out_specs=P("seed"),
+        check_vma=False,
+    )

@@ -142,39 +142,48 @@ def draw_field(axes, field: Any) -> None:
     axes.grid(False)
 
 
-def trajectories(trials: Any, field: Any, path: str | Path, title: str = "") -> Path:
-    """Fig. 6 and 7: paths on the drawn field.  trials: batched `rollout.Trajectory`.
-
-    The ball is an asterisk as in the paper, start poses are arrows, obstacles are discs with
-    the ring of 0.145 m that the robot's centre must not enter.
-    """
+def draw_discs(axes, discs: np.ndarray) -> None:
+    """Obstacles [K, (x, y, radius)], each with the ring of 0.145 m that the robot's centre must
+    not enter."""
     from matplotlib.patches import Circle
 
-    figure, axes = _new(5.6, 4.0)
-    draw_field(axes, field)
-    robots = np.asarray(trials.snapshot.robot)
-    balls, obstacles = np.asarray(trials.snapshot.ball), np.asarray(trials.snapshot.obstacles)
-    for x, y, radius in np.unique(obstacles[:, -1].reshape(-1, 3), axis=0):
+    for x, y, radius in discs:
         axes.add_patch(Circle((x, y), radius, color="0.45"))
         axes.add_patch(
             Circle((x, y), radius + 0.145, fill=False, color="0.45", linestyle=":", linewidth=1)
         )
-    for n, robot in enumerate(robots):
-        colour = COLOURS[n % len(COLOURS)]
-        axes.plot(robot[:, 0], robot[:, 1], color=colour, linewidth=1.6)
-        x, y, heading = robot[0]
-        axes.annotate(
-            "",
-            (x + 0.16 * np.cos(heading), y + 0.16 * np.sin(heading)),
-            (x, y),
-            arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.4},
-        )
-        axes.plot(x, y, "o", color=colour, markersize=5)
-        axes.plot(robot[-1, 0], robot[-1, 1], "s", color=colour, markersize=4)
-        if len(np.unique(balls[n], axis=0)) > 1:
-            axes.plot(balls[n, :, 0], balls[n, :, 1], color="black", linestyle=":", linewidth=0.8)
-    for x, y in np.unique(balls[:, -1], axis=0):
-        axes.plot(x, y, "*", color="black", markersize=11, zorder=5)
+
+
+def draw_path(axes, robot: np.ndarray, colour: str) -> None:
+    """A path [N, (x, y, heading)] with its start pose as an arrow and its end as a square."""
+    axes.plot(robot[:, 0], robot[:, 1], color=colour, linewidth=1.6)
+    x, y, heading = robot[0]
+    axes.annotate(
+        "",
+        (x + 0.16 * np.cos(heading), y + 0.16 * np.sin(heading)),
+        (x, y),
+        arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.4},
+    )
+    axes.plot(x, y, "o", color=colour, markersize=5)
+    axes.plot(robot[-1, 0], robot[-1, 1], "s", color=colour, markersize=4)
+
+
+def draw_ball(axes, ball: np.ndarray) -> None:
+    """The ball [N, (x, y)] where it ends up, an asterisk as in the paper, and its way there."""
+    if len(np.unique(ball, axis=0)) > 1:
+        axes.plot(ball[:, 0], ball[:, 1], color="black", linestyle=":", linewidth=0.8)
+    axes.plot(*ball[-1], "*", color="black", markersize=11, zorder=5)
+
+
+def trajectories(trials: Any, field: Any, path: str | Path, title: str = "") -> Path:
+    """Fig. 6 and 7: paths on the drawn field.  trials: batched `rollout.Trajectory`."""
+    figure, axes = _new(5.6, 4.0)
+    draw_field(axes, field)
+    obstacles = np.asarray(trials.snapshot.obstacles)
+    draw_discs(axes, np.unique(obstacles[:, -1].reshape(-1, 3), axis=0))
+    for n, robot in enumerate(np.asarray(trials.snapshot.robot)):
+        draw_path(axes, robot, COLOURS[n % len(COLOURS)])
+        draw_ball(axes, np.asarray(trials.snapshot.ball)[n])
     axes.set_title(title, fontsize=9, loc="left")
     return save(figure, path)
 

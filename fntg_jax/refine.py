@@ -4,14 +4,19 @@ The loss is the smooth cost (`fitness.smooth_cost`), averaged over a batch of sc
 drawn anew each step.  Reverse mode runs through the whole roll-out; `jax.checkpoint` around
 each control step keeps only the states, 220 small vectors a trial.
 
-What the model's jumps mean for this gradient: at theta_O = 0 "left" and "right" swap, and where
-another obstacle becomes the nearest one, d_O and theta_O jump.  A trajectory that meets such a
-surface depends on the genes discontinuously or with a kink; its gradient is that of the side
-it is on and knows nothing of the jump.  Averaging over scenes blurs the jumps, but no step is
-trusted: the best *validated* iterate is returned, on scenes that no step was computed from, so
-that refinement never returns something worse than it was given.
+What the model's jumps mean for this gradient.  At theta_O = 0 (an obstacle dead ahead) the
+labels "left" and "right" swap, at theta = +-pi both angles jump, and where another obstacle or
+wall becomes the nearest one d_O has a kink and theta_O jumps.  Between such events a trajectory
+is smooth in the genes and the gradient is exact.  A trajectory that meets one is not: passing it
+a moment earlier or later, or on its other side, changes the outcome by a finite amount that the
+gradient, taken on the side the trajectory is on, does not contain.  So it is the slope of one
+smooth piece, not of the cost averaged over scenes, and a step along it can make that average
+worse.  Averaging over many scenes helps, but no step is trusted: the best *validated* iterate is
+returned, on scenes that no step was computed from, so that refinement never returns something
+worse there than it was given.
 """
 
+import inspect
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -20,7 +25,9 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, Key
 
-from fntg_jax.layout import HIGH, LOW
+from fntg_jax import fitness, fntg
+from fntg_jax.layout import HIGH, LOW, Layout
+from fntg_jax.rollout import rollout_pairs
 
 # (theta [genes], scenes) -> scalar mean cost, differentiable.
 CostFn = Callable[[Float[Array, " genes"], Any], Float[Array, ""]]
@@ -28,8 +35,8 @@ CostFn = Callable[[Float[Array, " genes"], Any], Float[Array, ""]]
 
 class Refined(NamedTuple):
     """theta: best validated iterate; cost: its validation cost; history: [num_validations]
-    validation costs, the first that of the start; num_skipped: steps whose gradient was not
-    finite and was left out.  Leading axes: individuals."""
+    validation costs, the first that of the start; num_skipped: steps left out because the
+    gradient or what the optimiser made of it was not finite.  Leading axes: individuals."""
 
     theta: Float[Array, "P genes"]
     cost: Float[Array, " P"]
@@ -37,10 +44,68 @@ class Refined(NamedTuple):
     num_skipped: Int[Array, " P"]
 
 
-def adam(num_steps: int, learning_rate: float = 0.02) -> optax.GradientTransformation:
-    """The default optimiser: clipped gradients, Adam, cosine decay."""
-    schedule = optax.cosine_decay_schedule(learning_rate, num_steps, alpha=0.05)
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule, b2=0.99))
+class Problem(NamedTuple):
+    """What `refine` descends on: cost_fn, draw and validation are its arguments."""
+
+    cost_fn: CostFn
+    draw: Callable[[Key[Array, ""]], Any]
+    validation: Any
+
+
+# Scenes of refinement: apart from those of evolution and of evaluation, which use other keys.
+_KEY = 0x4EF1
+_POOL, _VALIDATION = 16384, 2048
+
+
+def smooth_problem(
+    layout: Layout,
+    env: Any,
+    suite: Callable[..., Any],
+    num_scenes: int,
+    output: fntg.Output = "scale",
+    seed: int = 0,
+) -> Problem:
+    """The mean `fitness.smooth_cost` over num_scenes training scenes a step, taken from a pool of
+    16384; validation on 2048 others.  suite: (key, num_scenes) -> scenes."""
+    keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), _KEY))
+    pool = suite(keys[0], _POOL)
+
+    def cost_fn(theta, scenes):
+        # Checkpointed: reverse mode then stores one state a control step.
+        outcome = rollout_pairs(layout, theta[None], scenes, env, output=output, checkpoint=True)
+        return jnp.mean(fitness.smooth_cost(outcome))
+
+    def draw(key):
+        pick = jax.random.randint(key, (num_scenes,), 0, _POOL)
+        return jax.tree.map(lambda x: x[pick], pool)
+
+    return Problem(cost_fn, draw, suite(keys[1], _VALIDATION))
+
+
+# adam: refinements are short, so its second moment forgets sooner than by default.
+_ARGUMENTS = {"adam": {"b2": 0.99}}
+
+
+def optimiser(name: str, num_steps: int, rate: float) -> optax.GradientTransformation:
+    """The optax optimiser of that name, behind clipped gradients, with its learning rate (genes
+    a step, for adam and its kin) falling along a cosine to 5 %.  Raises ValueError where optax
+    has none that works from a learning rate and gradients alone."""
+    schedule = optax.cosine_decay_schedule(rate, num_steps, alpha=0.05)
+    try:
+        make = getattr(optax, name)
+        if next(iter(inspect.signature(make).parameters)) != "learning_rate":
+            raise TypeError
+        made = optax.chain(
+            optax.clip_by_global_norm(1.0), make(schedule, **_ARGUMENTS.get(name, {}))
+        )
+        like = jnp.zeros(2)
+        jax.eval_shape(lambda: made.update(like, made.init(like), like))  # lbfgs wants more
+    except (AttributeError, TypeError, StopIteration):
+        raise ValueError(
+            f"optimizer = {name!r}: allowed are optax's first-order optimizers by name, such as "
+            "adam, sgd, rmsprop, lion"
+        ) from None
+    return made
 
 
 def refine(
@@ -55,6 +120,7 @@ def refine(
 ) -> Refined:
     """Descend from each theta for num_steps; return the best validated iterates.
 
+    optimiser: any of optax that works from gradients, with clipping where it is wanted.
     draw: key -> a batch of training scenes, the same for all individuals.  validation: scenes
     for the choice of the iterate.  Genes are projected to [-5, 5] after every step.
     """
@@ -66,11 +132,14 @@ def refine(
             finite = jnp.all(jnp.isfinite(gradient))
             gradient = jnp.where(finite, gradient, 0)
             updates, new_opt_state = optimiser.update(gradient, opt_state, theta)
+            finite &= jnp.all(jnp.isfinite(updates))
+            # The last block may reach beyond num_steps.  What is not taken leaves no trace, in
+            # the moments neither.
+            taken = finite & (n < num_steps)
+            keep = lambda new, old: jnp.where(taken, new, old)  # noqa: E731
             moved = jnp.clip(optax.apply_updates(theta, updates), LOW, HIGH)
-            # A gradient that is not finite leaves no trace, in the moments neither.
-            keep = lambda new, old: jnp.where(finite, new, old)  # noqa: E731
             opt_state = jax.tree.map(keep, new_opt_state, opt_state)
-            return (keep(moved, theta), opt_state, skipped + ~finite), None
+            return (keep(moved, theta), opt_state, skipped + (~finite & (n < num_steps))), None
 
         def block(carry, first):
             carry, best, best_cost = carry

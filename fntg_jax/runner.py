@@ -271,7 +271,7 @@ def _advance(state, floats, scenes, num, *, mesh, make_fitness):
         records = ga.Record(zeros, zeros, zeros.astype(int), genomes)
         return jax.lax.fori_loop(0, num, body, (seed_state, records))
 
-    return over_seeds(one_seed, mesh)((scenes, num), state, floats)
+    return over_seeds(one_seed, mesh)((scenes, num), (state, floats))
 
 
 def start(config: TrainConfig) -> Run:

@@ -227,13 +227,13 @@ def _success(
     size = learner.mesh.shape["seed"]
     pad = np.arange(-(-len(rows) // size) * size) % len(rows)
 
-    def one(scenes, t, e):
-        outcome = rollout_pairs(learner.layout, t[None], scenes, e, output=config.output)
+    def one(some, t, e):
+        outcome = rollout_pairs(learner.layout, t[None], some, e, output=config.output)
         return jnp.mean(fitness.success(outcome).success[0])
 
     judge = jax.jit(over_seeds(one, learner.mesh))
     flat = theta.reshape(-1, theta.shape[-1])
-    share = judge(scenes, jnp.asarray(flat[pad]), jax.tree.map(lambda x: jnp.asarray(x[pad]), env))
+    share = judge(scenes, (flat[pad], jax.tree.map(lambda x: x[pad], env)))
     return np.asarray(share)[: len(rows)].reshape(len(variants), config.seeds)
 
 

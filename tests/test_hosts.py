@@ -95,6 +95,28 @@ def test_two_processes_finish_one_folder_and_stop_together(clean_env, fntg, tmp_
         assert words.strip().split("\n")[-1].endswith("choose a new folder, or --resume it")
 
 
+@pytest.mark.slow
+def test_two_processes_start_from_an_earlier_run(clean_env, fntg, tmp_path):
+    """Three seeds, so that devices are filled up with rows that no file may hold."""
+    source, folder, alone = (tmp_path / name for name in ("source", "two", "one"))
+    small = ("--seeds", "3", "--ga.population", "8", "--generations")
+    assert fntg("train", *small, "4", "--out", source).returncode == 0
+    warm = (*small, "30", "--warm-start", str(source))
+    done = fntg("train", *warm, "--out", alone, XLA_FLAGS=ONE_DEVICE)
+    assert done.returncode == 0, done.stderr
+    assert f"starting from the populations of {source}\n" in done.stderr
+    ended = [p.communicate(timeout=120) for p in start(clean_env, *warm, "--out", str(folder))]
+    assert ended[0][0] == f"{folder}\n", ended
+    assert (folder / "metrics.csv").read_text() == (alone / "metrics.csv").read_text()
+    assert (folder / "params.json").read_text() == (alone / "params.json").read_text()
+    pair = start(clean_env, *small, "30", "--warm-start", "nowhere", "--out", str(tmp_path / "new"))
+    for process in pair:
+        out, words = process.communicate(timeout=120)
+        assert (process.returncode, out) == (2, "")
+        assert words.strip().split("\n")[-1].startswith("fntg: error: warm_start = nowhere: ")
+    assert not (tmp_path / "new").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

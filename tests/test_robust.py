@@ -43,7 +43,7 @@ def outcome(d=0.0, v=0.0, clearance=1.0, failed=False):
 def test_smooth_cost_by_hand():
     w = SmoothWeights()
     assert fitness.smooth_cost(outcome()) == 0
-    far = math.log1p((0.94 / 0.05) ** 2) + math.log1p((0.92 / 0.05) ** 2)
+    far = math.log1p((0.94 / 0.05) ** 2) + 0.5 * math.log1p((0.92 / 0.05) ** 2)
     np.testing.assert_allclose(fitness.smooth_cost(outcome(d=1.0)), far, rtol=1e-6)
     moving = math.log1p((0.08 / 0.01) ** 2)
     np.testing.assert_allclose(fitness.smooth_cost(outcome(v=0.1)), moving, rtol=1e-6)
@@ -52,7 +52,7 @@ def test_smooth_cost_by_hand():
     alone = fitness.smooth_cost(outcome(d=0.4))
     np.testing.assert_allclose(fitness.smooth_cost(at_gate) - alone, moving / 2, rtol=1e-5)
     # The weight of clearance rises from its start to its end value over 0.7 of the run.
-    for progress, weight in ((0.0, 1.5), (0.35, math.sqrt(1.5 * 8)), (0.7, 8), (1.0, 8)):
+    for progress, weight in ((0.0, 1.5), (0.35, math.sqrt(1.5 * 10)), (0.7, 10), (1.0, 10)):
         cost = fitness.smooth_cost(outcome(clearance=0.06), w, progress)
         np.testing.assert_allclose(cost, weight, rtol=1e-5)
     # Arriving roughly beats standing still far away: no local optimum of doing nothing.

@@ -121,29 +121,6 @@ def test_outcome_is_what_the_trajectory_shows(single):
     close(moved, path.command.v * 0.1 * np.sinc(path.command.omega * 0.05 / np.pi))
 
 
-@pytest.mark.slow
-def test_gradient_through_a_trial_is_finite_and_right():
-    """Reverse mode with recomputation, against a difference quotient."""
-    layout, env = LAYOUTS["paper-31"], kinematic.make()
-    where = jax.tree.map(lambda x: x[0], some("paper", 1))
-
-    def distance(theta, where):
-        params = expand_scalars(layout, theta)
-        return rollout(params, where, env, checkpoint=True).distance.sum()
-
-    with jax.enable_x64(True):
-        where = doubled(where)
-        theta = jnp.asarray(0.3 * random_thetas(layout, 1, seed=5)[0])
-        theta = theta.at[-2].set(2.0)
-        run = jax.jit(jax.value_and_grad(distance))
-        slope = np.asarray(run(theta, where)[1])
-        along = np.random.default_rng(0).normal(size=31)
-        ends = [float(run(theta + h * along, where)[0]) for h in (1e-6, -1e-6)]
-    assert np.isfinite(slope).all()
-    assert np.abs(slope).max() > 1e-3
-    assert slope @ along == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-3)
-
-
 @pytest.mark.parametrize("num_thetas", [231, 331])
 def test_blocks_of_a_large_batch_change_nothing(num_thetas, monkeypatch):
     """924 and 1324 pairs: two and three blocks, the last one not full."""

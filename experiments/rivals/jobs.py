@@ -44,7 +44,12 @@ Run = Callable[[int], Any]
 
 
 def ours(job: Job) -> Run:
-    """The library; a generation's genomes are spread over the devices."""
+    """The library; a generation's genomes are spread over the devices.
+
+    One device computes on one core: XLA does not split these loops among its threads (ours with
+    one device was no faster on two cores).  Two devices pay from a few thousand trials on, not for
+    the paper's 240, whose 1 ms is about what starting two devices costs.
+    """
     import jax
     import jax.numpy as jnp
     from jax.sharding import Mesh

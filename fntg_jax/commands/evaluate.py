@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from fntg_jax import xla
-from fntg_jax.cli import load_controller, parse
+from fntg_jax.cli import load_controller, parse, say
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,10 +30,15 @@ class EvaluateOptions:
     """options of that world by name, over the controller's own limits and control step."""
     json: bool = False
     """print JSON instead of a table."""
+    failures: Path | None = None
+    """also draw trials that failed, up to 12 a suite, into this .png (and a .pdf beside it)."""
 
 
 def main(argv: list[str]) -> None:
     options = parse(EvaluateOptions, argv, "evaluate")
+    picture = options.failures
+    if picture is not None and (picture.suffix != ".png" or not picture.parent.is_dir()):
+        raise ValueError(f"failures = {picture}: allowed is a .png file in a folder that exists")
     xla.configure()
     from fntg_jax import evaluation, settings
 
@@ -42,12 +47,18 @@ def main(argv: list[str]) -> None:
     if options.suite != "all" and options.suite not in world.suites:
         raise ValueError(f"suite = {options.suite!r}: known are all, {', '.join(world.suites)}")
     env = evaluation.environment_for(controller, world, **options.env_options)
-    # The learning set-up of the paper is no test; it is there by name.
-    names = [n for n in world.suites if n != "paper"] if options.suite == "all" else [options.suite]
+    names = evaluation.held_out_suites(world) if options.suite == "all" else [options.suite]
     results = [
         evaluation.evaluate(controller, world, name, options.scenes, options.seed, env)
         for name in names
     ]
+    if picture is not None:
+        from fntg_jax import failures
+
+        try:
+            say(f"failures {failures.picture(controller, world, env, results, picture)}")
+        except OSError as error:
+            raise ValueError(f"failures = {picture}: {error.strerror or error}") from None
     if options.json:
         document = {
             r.suite: {"scenes": r.num_scenes, **{k: v._asdict() for k, v in r.rates.items()}}
@@ -57,8 +68,5 @@ def main(argv: list[str]) -> None:
         return
     print(f"{'suite':18s}{'scenes':>7s}" + "".join(f"{p:>25s}" for p in evaluation.PARTS))
     for r in results:
-        cells = "".join(
-            f"{f'{100 * x.share:.1f} % ({100 * x.low:.1f}-{100 * x.high:.1f})':>25s}"
-            for x in r.rates.values()
-        )
+        cells = "".join(f"{rate!s:>25s}" for rate in r.rates.values())
         print(f"{r.suite:18s}{r.num_scenes:7d}{cells}")

@@ -1,0 +1,130 @@
+"""`fntg refine`: gradient descent on an exported controller's genes."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from fntg_jax import xla
+from fntg_jax.cli import load_controller, parse, say
+
+
+@dataclasses.dataclass(frozen=True)
+class RefineOptions:
+    """Descend on a controller's genes along the gradient through its trials, and write the best
+    iterate on validation scenes; where none is better than the start, the start.  How often it
+    succeeds on held-out scenes before and after goes to stderr."""
+
+    controller: Annotated[Path, tyro.conf.Positional]
+    """params.json, an exported .fll, or a run folder."""
+    out: Path = Path("refined.json")
+    """file to write, in the exchange format (`fntg export` makes others of it)."""
+    steps: int = 300
+    """gradient steps."""
+    rate: float = 0.003
+    """learning rate at the start, falling to 5 % of it."""
+    optimizer: str = "adam"
+    """an optax optimizer by name: adam, sgd, rmsprop, lion, ..."""
+    suite: str = "open:2,blocked:3"
+    """training and validation scenes: a suite, or several with their shares."""
+    scenes: int = 128
+    """training scenes a step."""
+    seed: int = 0
+    """seed of these scenes."""
+    env: str = "kinematic"
+    """world, by its entry point name; it must have a gradient."""
+    env_options: dict[str, float] = dataclasses.field(default_factory=dict)
+    """options of that world by name, over the controller's own limits and control step."""
+
+
+def main(argv: list[str]) -> None:
+    options = parse(RefineOptions, argv, "refine")
+    for name, most in (("steps", 100_000), ("scenes", 16384)):
+        if not 1 <= getattr(options, name) <= most:
+            value = getattr(options, name)
+            raise ValueError(f"{name} = {value}: allowed are whole numbers from 1 to {most}")
+    if not 0 < options.rate <= 1:
+        raise ValueError(f"rate = {options.rate}: allowed are numbers above 0, up to 1")
+    if not 0 <= options.seed < 2**32:
+        raise ValueError(f"seed = {options.seed}: allowed are whole numbers from 0 below 2^32")
+    if not options.out.parent.is_dir() or options.out.is_dir():
+        raise ValueError(f"out = {options.out}: allowed is a file in a folder that exists")
+    xla.configure()
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    from fntg_jax import evaluation, export, refine, settings
+
+    controller = load_controller(options.controller)
+    world = settings.get_world(options.env)
+    suite = settings.get_suite(world, options.suite)
+    optimiser = refine.optimiser(options.optimizer, options.steps, options.rate)
+    env = evaluation.environment_for(controller, world, **options.env_options)
+    problem = refine.smooth_problem(
+        controller.layout, env, suite, options.scenes, controller.output, options.seed
+    )
+    say(
+        f"{options.steps} steps of {options.optimizer} on {options.scenes} scenes each "
+        f"({options.suite}), world {options.env}; compiling takes a while ..."
+    )
+    descend = jax.jit(
+        lambda theta: refine.refine(
+            jax.random.key(options.seed), theta, *problem, optimiser, options.steps
+        )
+    )
+    refined = descend(jnp.asarray(controller.theta, jnp.float32)[None])
+    refined = jax.tree.map(lambda x: np.asarray(x[0]), refined)
+    before, after = float(refined.history[0]), float(refined.cost)
+    num_validation = jax.tree.leaves(problem.validation)[0].shape[0]
+    if refined.num_skipped:
+        say(f"{refined.num_skipped} of {options.steps} steps skipped: gradient not finite")
+    say(f"mean cost on {num_validation} validation scenes: {before:.5g} before, {after:.5g} after")
+    better = after < before
+    if better:
+        result = _refined(controller, refined, options)
+        _compare(controller, result, world, env)
+    else:
+        result = controller
+        say("no iterate is better than the start: the controller is written as it was")
+    try:
+        export.save(result, options.out)
+    except OSError as error:
+        raise ValueError(f"out = {options.out}: {error.strerror or error}") from None
+    print(options.out)
+
+
+def _refined(controller: Any, refined: Any, options: RefineOptions) -> Any:
+    """The controller with its new genes, and in its provenance how it came by them."""
+    import numpy as np
+
+    provenance = {
+        **controller.provenance,
+        "env": options.env,
+        "objective": "smooth",
+        "fitness": 10 / (0.1 + float(refined.cost)),  # as `fitness.smooth_fitness`
+        "refine_steps": options.steps,
+        "refine_optimizer": options.optimizer,
+        "refine_rate": options.rate,
+        "refine_suite": options.suite,
+        "refine_seed": options.seed,
+    }
+    return dataclasses.replace(
+        controller, theta=refined.theta.astype(np.float64), bits=None, provenance=provenance
+    )
+
+
+def _compare(old: Any, new: Any, world: Any, env: Any) -> None:
+    """Success on held-out scenes, from which nothing was learnt or chosen."""
+    from fntg_jax import evaluation
+
+    num_scenes = 2000
+    say(f"success on {num_scenes} held-out scenes (95 % interval):")
+    for name in evaluation.held_out_suites(world):
+        was, now = (
+            evaluation.evaluate(c, world, name, num_scenes, env=env).rates["success"]
+            for c in (old, new)
+        )
+        worse = "  WORSE" if now.share < was.share else ""
+        say(f"  {name:18s}{was} before, {now} after{worse}")
