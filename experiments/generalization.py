@@ -119,7 +119,7 @@ def descended(options: Options) -> Iterator[tuple[int, float, export.Controller]
     problem = refine.smooth_problem(layout, env, suite, config.num_scenes, config.output)
     optimiser = refine.optimiser("adam", options.gradient_steps, 0.03)
 
-    @jax.jit
+    @partial(jax.jit, compiler_options=xla.GRADIENT_OPTIONS)
     def descend(key):
         k_start, k_steps = jax.random.split(key)
         shape = (options.gradient_starts, layout.num_genes)

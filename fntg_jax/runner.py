@@ -18,7 +18,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
-from fntg_jax import ga, genome, refine
+from fntg_jax import ga, genome, refine, xla
 from fntg_jax.layout import get_layout
 from fntg_jax.objective import Static, Traced, draw_scenes, score
 from fntg_jax.settings import TrainConfig, get_suite, get_world, validate
@@ -181,6 +181,7 @@ class Run:
         validation = suite(key, _VALIDATION) if static.fresh else self.scenes
         choose = jax.jit(
             partial(_conclude, config=self.config, static=static, mesh=self.mesh),
+            compiler_options=xla.GRADIENT_OPTIONS if self.config.refine_steps else None,
         )
         theta, value, row, refined = choose(self.state, traced, validation)
         num = self.config.seeds
@@ -294,7 +295,7 @@ def _conclude(state, traced, validation, *, config, static, mesh):
 
     def cost_fn(theta, scenes):
         # Checkpointed: reverse mode then stores one state a control step.
-        return 10 / score(static, traced, theta[None], scenes, checkpoint=True)[0]
+        return 10 / score(static, traced, theta, scenes, checkpoint=True)
 
     def one_seed(bits, key):
         theta = genome.decode(bits, config.ga.num_bits, config.ga.gray)
