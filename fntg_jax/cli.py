@@ -108,7 +108,7 @@ def load_controller(path: Path, seed: int | None = None) -> Any:
         return fntg_jax.load(path)
     from fntg_jax import runfolder
 
-    return runfolder.controller(runfolder.restore(path), seed)
+    return runfolder.controller_of_seed(path, seed)
 
 
 if __name__ == "__main__":

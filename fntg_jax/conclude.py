@@ -60,7 +60,7 @@ def _gradient(key, theta, validation, config, static, traced):
 
     def cost_fn(theta, some):
         # Checkpointed: reverse mode then stores one state a control step.
-        return 10 / score(static, traced, theta[None], some, checkpoint=True)[0]
+        return 10 / score(static, traced, theta, some, checkpoint=True)
 
     found = refine.refine(
         key,

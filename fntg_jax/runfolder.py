@@ -161,28 +161,16 @@ def finish(folder: Path, run: Run) -> tuple[Path, Result]:
             **({} if result.refined is None else {"refined": result.refined}),
         },
     )
-    export.save(controller(run, result=result), folder / "params.json")
+    export.save(controller(run, result), folder / "params.json")
     _write_json(folder / "environment.json", environment(run))
     plots.fitness_curves(history, figure, result.refined)
     return figure, result
 
 
-def controller(
-    run: Run, seed: int | None = None, result: Result | None = None
-) -> export.Controller:
-    """The controller of one seed, or the best of all, with its provenance.
-
-    result: of `run.conclude()`, where the caller has it already.
-    """
+def controller(run: Run, result: Result) -> export.Controller:
+    """The best controller of all seeds, with its provenance; result: of `run.conclude()`."""
     config = run.config
-    result = run.conclude() if result is None else result
-    if seed is None:
-        index = int(np.argmax(result.fitness))
-    else:
-        index = seed - config.first_seed
-        if not 0 <= index < config.seeds:
-            last = config.first_seed + config.seeds - 1
-            raise ValueError(f"seed = {seed}: the run has seeds {config.first_seed} to {last}")
+    index = int(np.argmax(result.fitness))
     best, bits = float(result.fitness[index]), None
     if result.bits is not None:
         bits = "".join("1" if b else "0" for b in result.bits[index])
@@ -201,7 +189,7 @@ def controller(
             "generations": run.generation,
             "refine_steps": config.refine_steps,
             "seed": config.first_seed + index,
-            "best_of_seeds": config.seeds if seed is None else 1,
+            "best_of_seeds": config.seeds,
             "fitness": best if np.isfinite(best) else None,
             "num_bits": config.ga.num_bits,
             "gray": config.ga.gray,
@@ -214,30 +202,57 @@ def controller(
 def controller_of_generation(folder: Path, generation: int) -> export.Controller:
     """The best controller of one generation (from 1), of the seed that params.json comes from.
     Raises ValueError (one line) where the folder does not hold it."""
-    controller = export.load(folder / "params.json")
+    best = export.load(folder / "params.json")
     config = load_config(folder)
-    path = folder / "history.npz"
-    seed = controller.provenance.get("seed", config.first_seed)
-    index = seed - config.first_seed if isinstance(seed, int) else -1
-    shape = (config.seeds, config.generations, controller.layout.num_genes)
     if not 1 <= generation <= config.generations:
         raise ValueError(f"generation = {generation}: the run has 1 to {config.generations}")
+    seed = best.provenance.get("seed", config.first_seed)
+    index = seed - config.first_seed if isinstance(seed, int) else -1
+    shape = (config.seeds, config.generations, best.layout.num_genes)
+    theta = _stored(folder, "best_theta", shape, index)[generation - 1]
+    provenance = {**best.provenance, "generations": generation, "fitness": None}
+    return dataclasses.replace(best, theta=theta, bits=None, provenance=provenance)
+
+
+def controller_of_seed(folder: Path, seed: int) -> export.Controller:
+    """The final controller of one seed of a completed run.  Raises ValueError (one line) where the
+    folder does not hold it."""
+    best = export.load(folder / "params.json")
+    config = load_config(folder)
+    index = seed - config.first_seed
+    if not 0 <= index < config.seeds:
+        last = config.first_seed + config.seeds - 1
+        raise ValueError(f"seed = {seed}: the run has seeds {config.first_seed} to {last}")
+    if seed == best.provenance.get("seed"):
+        return best
+    theta = _stored(folder, "theta", (config.seeds, best.layout.num_genes), index)
+    value = _stored(folder, "fitness", (config.seeds,), index)
+    provenance = {
+        **best.provenance,
+        "seed": seed,
+        "best_of_seeds": 1,
+        "fitness": float(value) if np.isfinite(value) else None,
+    }
+    return dataclasses.replace(best, theta=theta, bits=None, provenance=provenance)
+
+
+def _stored(folder: Path, name: str, shape: tuple[int, ...], index: int) -> np.ndarray:
+    """Row `index` of an array of history.npz.  The file is not trusted."""
+    path = folder / "history.npz"
     try:
         with zipfile.ZipFile(path) as archive:
-            size = archive.getinfo("best_theta.npy").file_size
-        if size > 4 * math.prod(shape) + 1000 or not 0 <= index < config.seeds:
+            size = archive.getinfo(f"{name}.npy").file_size
+        if size > 8 * math.prod(shape) + 1000 or not 0 <= index < shape[0]:
             raise ValueError("another shape than config.json says")
         with np.load(path, allow_pickle=False) as file:
-            theta = file["best_theta"].astype(np.float64)
-        if theta.shape != shape or not np.all(np.abs(theta[index, generation - 1]) <= 5):
+            stored = file[name].astype(np.float64)
+        row = stored[index] if stored.shape == shape else np.asarray(np.inf)
+        if name != "fitness" and not np.all(np.abs(row) <= 5):
             raise ValueError("another shape or range than config.json says")
     except Exception as error:  # a damaged archive raises almost anything
         why = getattr(error, "strerror", None) or error
         raise ValueError(f"{path}: not the history of this run ({why})") from None
-    provenance = {**controller.provenance, "generations": generation, "fitness": None}
-    return dataclasses.replace(
-        controller, theta=theta[index, generation - 1], bits=None, provenance=provenance
-    )
+    return row
 
 
 def load_history(folder: Path) -> History:

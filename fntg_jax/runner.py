@@ -17,7 +17,7 @@ import numpy as np
 from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 
-from fntg_jax import conclude, ga, genome, hosts, memory
+from fntg_jax import conclude, ga, genome, hosts, memory, xla
 from fntg_jax.layout import get_layout
 from fntg_jax.objective import Static, Traced, draw_scenes, score
 from fntg_jax.parallel import GENOME, make_mesh, over_seeds
@@ -209,8 +209,10 @@ class Run:
         suite = get_suite(self.world, self.config.suite)
         key = jax.random.key(_POOL_KEY + 1)
         validation = self._place(suite(key, _VALIDATION), P()) if static.fresh else self.scenes
+        descends = self.config.refine_steps > 0 and self.config.refine_method == "gradient"
         choose = jax.jit(
             partial(conclude.choose, config=self.config, static=static, mesh=self.mesh),
+            compiler_options=xla.GRADIENT_OPTIONS if descends else None,
         )
         theta, value, row, refined = choose(self.state, self.floats, self.scenes, validation)
         num = self.num_rows

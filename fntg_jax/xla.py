@@ -17,6 +17,11 @@ _FLAGS = {
     "--xla_cpu_prefer_vector_width": "512",
 }
 
+# `compiler_options` of jit for programs with a backward pass through the roll-out.  Fused into
+# kernels with several outputs, as the flags above ask for, a third of its loops do not vectorise
+# on CPU.  Elsewhere there is no such pass to leave out.
+GRADIENT_OPTIONS = {"xla_disable_hlo_passes": "cpu_multi_output_fusion"}
+
 
 def configure(num_cpu_devices: int = 1) -> None:
     """Set XLA's CPU flags, the number of CPU devices and the persistent compilation cache.

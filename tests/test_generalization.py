@@ -79,7 +79,7 @@ def test_the_script(tmp_path, monkeypatch, capsys):
         refine,
         "smooth_problem",
         lambda *options: refine.Problem(
-            lambda theta, scenes: (theta**2).sum() + 0 * scenes.sum(),
+            lambda theta, scenes: (theta**2).sum(axis=-1) + 0 * scenes.sum(),
             lambda key: np.zeros(2),
             np.zeros(2),
         ),

@@ -72,7 +72,8 @@ def main(argv: list[str]) -> None:
     descend = jax.jit(
         lambda theta: refine.refine(
             jax.random.key(options.seed), theta, *problem, optimiser, options.steps
-        )
+        ),
+        compiler_options=xla.GRADIENT_OPTIONS,
     )
     refined = descend(jnp.asarray(controller.theta, jnp.float32)[None])
     refined = jax.tree.map(lambda x: np.asarray(x[0]), refined)
@@ -122,9 +123,8 @@ def _compare(old: Any, new: Any, world: Any, env: Any) -> None:
     num_scenes = 2000
     say(f"success on {num_scenes} held-out scenes (95 % interval):")
     for name in evaluation.held_out_suites(world):
-        was, now = (
-            evaluation.evaluate(c, world, name, num_scenes, env=env).rates["success"]
-            for c in (old, new)
-        )
-        worse = "  WORSE" if now.share < was.share else ""
-        say(f"  {name:18s}{was} before, {now} after{worse}")
+        was, now = (evaluation.evaluate(c, world, name, num_scenes, env=env) for c in (old, new))
+        won = int((now.success & ~was.success).sum())
+        lost = int((was.success & ~now.success).sum())
+        rates = f"{was.rates['success']} before, {now.rates['success']} after"
+        say(f"  {name:18s}{rates}: {won} scenes won, {lost} lost")
