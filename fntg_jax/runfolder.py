@@ -167,10 +167,19 @@ def finish(folder: Path, run: Run) -> tuple[Path, Result]:
     return figure, result
 
 
-def controller(run: Run, result: Result) -> export.Controller:
-    """The best controller of all seeds, with its provenance; result: of `run.conclude()`."""
+def controller(
+    run: Run, seed: int | None = None, result: Result | None = None
+) -> export.Controller:
+    """The controller of one seed, or the best of all, with its provenance.
+
+    result: of `run.conclude()`, where the caller has it already.
+    """
     config = run.config
-    index = int(np.argmax(result.fitness))
+    result = run.conclude() if result is None else result
+    if seed is None:
+        index = int(np.argmax(result.fitness))
+    else:
+        index = seed - config.first_seed
     best, bits = float(result.fitness[index]), None
     if result.bits is not None:
         bits = "".join("1" if b else "0" for b in result.bits[index])
@@ -189,7 +198,7 @@ def controller(run: Run, result: Result) -> export.Controller:
             "generations": run.generation,
             "refine_steps": config.refine_steps,
             "seed": config.first_seed + index,
-            "best_of_seeds": config.seeds,
+            "best_of_seeds": config.seeds if seed is None else 1,
             "fitness": best if np.isfinite(best) else None,
             "num_bits": config.ga.num_bits,
             "gray": config.ga.gray,
