@@ -161,7 +161,7 @@ def finish(folder: Path, run: Run) -> tuple[Path, Result]:
             **({} if result.refined is None else {"refined": result.refined}),
         },
     )
-    export.save(controller(run, result), folder / "params.json")
+    export.save(controller(run, result=result), folder / "params.json")
     _write_json(folder / "environment.json", environment(run))
     plots.fitness_curves(history, figure, result.refined)
     return figure, result

@@ -93,7 +93,7 @@ PRESETS = {
             crossover_rate=0.9,
             num_elites=2,
         ),
-        refine_steps=800,
+        refine_steps=1200,
         refine_method="cma",
         refine_scenes=128,
         refine_top=3,
