@@ -12,8 +12,8 @@ time limit.
 The reward of a step depends on what the policy sees and does, and on nothing it cannot know:
 
     progress   1.3 (L(d_B before) - L(d_B after)),  L(d) = log(1 + (d / 0.05 m)^2)
-    stop     - 0.014 log(1 + (v / 0.015 m/s)^2) / (1 + (d_B / 0.15 m)^2)
-    clearance  - max(0.165 m - d_O, 0) / 0.1 m,  and 30 for a fall
+    stop     - 0.014 log(1 + (v / 0.01 m/s)^2) / (1 + (d_B / 0.4 m)^2)
+    clearance  - max(0.16 m - d_O, 0) / 0.1 m,  and 30 for a fall
 
 It is the trainer's smooth objective spread over time: the first part sums up to that objective's
 two distances, stopping counts at every step near the ball instead of at three, and too little
@@ -46,7 +46,7 @@ except ModuleNotFoundError as error:
 
 EPISODE_LENGTH = 220  # control steps (paper)
 _PROGRESS, _STOP, _CLEARANCE, _FALL = 1.3, 0.7 / 50, 1.0, 30.0
-_NEAR, _STILL, _GATE, _MARGIN = 0.05, 0.015, 0.15, 0.165  # m, m/s, m, m
+_NEAR, _STILL, _GATE, _MARGIN = 0.05, 0.01, 0.4, 0.16  # m, m/s, m, m
 
 
 class Episode(NamedTuple):

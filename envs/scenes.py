@@ -242,7 +242,7 @@ def concatenate(parts: list[Scene]) -> Scene:
     """One batch of scenes out of several.
 
     Where one part moves and another doesn't, the still one gets velocities of zero; where one has
-    fewer obstacles, it gets some that are too far away to matter.
+    fewer obstacles (at least one), it gets copies of its first.
     """
     most = max(p.obstacles.shape[-2] for p in parts)
     parts = [_filled_up(p, most - p.obstacles.shape[-2]) for p in parts]
@@ -258,20 +258,16 @@ def concatenate(parts: list[Scene]) -> Scene:
     return jax.tree.map(lambda *xs: jnp.concatenate(xs), *full)
 
 
-_FAR_AWAY = (100.0, 100.0, 0.0)  # x, y, radius: m
-
-
 def _filled_up(scene: Scene, num: int) -> Scene:
-    if num == 0:
-        return scene
+    """`num` obstacles more: copies of the first, which change nothing."""
 
-    def more(rows, row):
-        return jnp.concatenate([rows, jnp.tile(jnp.asarray(row), (rows.shape[0], num, 1))], axis=1)
+    def more(rows):
+        return jnp.concatenate([rows, *[rows[:, :1]] * num], axis=1)
 
     velocity = scene.obstacle_velocity
     return scene._replace(
-        obstacles=more(scene.obstacles, _FAR_AWAY),
-        obstacle_velocity=None if velocity is None else more(velocity, (0.0, 0.0)),
+        obstacles=more(scene.obstacles),
+        obstacle_velocity=None if velocity is None else more(velocity),
     )
 
 

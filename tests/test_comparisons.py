@@ -45,6 +45,7 @@ def test_the_literal_forms_of_the_fitness():
     np.testing.assert_allclose(readings.at_once_fitness(lazy), 10 / (rest + 0.2), rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_readings(tmp_path, capsys):
     options = readings.Options(
         seeds=2, generations=2, eval_scenes=8, only=("backward-signed-v", "C_k-sees-d_O")

@@ -41,13 +41,13 @@ def test_every_ablation_takes_one_thing_away():
         ]
         assert changed == [name.partition("=")[0]]
     assert generalization.ablations(settings.TrainConfig(suite="open")).keys() == {
-        "smooth.clearance_start=6", "smooth.gate=1000", "smooth.margin=0.145"
+        "smooth.clearance_start=10", "smooth.gate=1000", "smooth.margin=0.145"
     }  # fmt: skip
 
 
 TINY = dataclasses.replace(
     ROBUST,
-    ga=dataclasses.replace(ROBUST.ga, population=16),
+    ga=dataclasses.replace(ROBUST.ga, population=64),
     num_scenes=4,
     scene_pool=16,
     generations=2,

@@ -37,6 +37,7 @@ def spread(python, *arguments):
     return [tuple(mesh) for mesh, _ in found], len({digest for _, digest in found}) == 1
 
 
+@pytest.mark.slow
 def test_genomes_of_one_seed_are_shared(python):
     # Three blocks of genomes, so that one of two devices has less to do.
     assert spread(python, 1, (1, 2), False) == ([(1, 1), (1, 2)], True)

@@ -143,3 +143,12 @@ def test_a_bad_mix_is_refused():
     for share in (0.0, -1.0, float("nan")):
         with pytest.raises(ValueError, match=r"share of suite open = .*above 0"):
             scenes.Mix((("open", share),))
+
+
+def test_a_mix_with_more_obstacles_changes_no_scene():
+    mixed = scenes.Mix((("moving-obstacles", 1.0), ("crowded", 1.0)))(jax.random.key(0), 20)
+    assert mixed.obstacles.shape == (20, 2, 3) and mixed.obstacle_velocity.shape == (20, 2, 2)
+    walking = jax.tree.map(lambda x: x[:10], mixed)
+    np.testing.assert_array_equal(walking.obstacles[:, 0], walking.obstacles[:, 1])
+    np.testing.assert_array_equal(walking.obstacle_velocity[:, 0], walking.obstacle_velocity[:, 1])
+    assert (mixed.obstacle_velocity[10:] == 0).all()
