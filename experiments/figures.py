@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import tyro
 
+from experiments import script
 from fntg_jax import xla
-from fntg_jax.cli import refuse
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,13 +32,8 @@ def main(doc: str, name: str, run: Callable, plot: Callable) -> None:
     """Parse options, run, plot; bad input is one line and exit status 2."""
     options = tyro.cli(Options, description=doc, prog=f"experiments/{name}.py")
     xla.configure(num_cpu_devices=os.cpu_count() or 1)
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
+    with script.folder(options.out):
         print(plot(run(options), options.out / f"{name}.png"))
-    except ValueError as error:
-        refuse(str(error))
-    except OSError as error:
-        refuse(f"out = {options.out}: {error.strerror or error}")
 
 
 def finished_run(options: Options) -> Any:

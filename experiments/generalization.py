@@ -23,8 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
+from experiments import script
 from fntg_jax import evaluation, export, plots, refine, runfolder, runner, settings, xla
-from fntg_jax.cli import refuse
 from fntg_jax.files import write_atomically
 from fntg_jax.layout import HIGH, LOW, get_layout
 from fntg_jax.settings import TrainConfig
@@ -152,12 +152,9 @@ def judge(name: str, method: Method, options: Options, done: Callable[[Row], Non
 def run(options: Options) -> tuple[list[Row], list[Row]]:
     """Rows of the comparison and of the ablations; writes the CSVs.  Raises ValueError: option,
     value, what is allowed."""
-    for name, least in (
-        ("seeds", 1), ("generations", 0), ("gradient_steps", 1), ("gradient_starts", 1),
-        ("scenes", 1),
-    ):  # fmt: skip
-        if getattr(options, name) < least:
-            raise ValueError(f"{name} = {getattr(options, name)}: allowed are numbers from {least}")
+    script.check_least(
+        options, seeds=1, generations=0, gradient_steps=1, gradient_starts=1, scenes=1
+    )
     paper, robust = (
         dataclasses.replace(p, generations=options.generations or p.generations)
         for p in (settings.PRESETS["paper"], settings.PRESETS["robust"])
@@ -279,17 +276,12 @@ def plot(rows: list[Row], path: Path) -> Path:
 def main() -> None:
     options = tyro.cli(Options, description=__doc__, prog="experiments/generalization.py")
     xla.configure(num_cpu_devices=os.cpu_count() or 1)
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
+    with script.folder(options.out):
         compared, ablated = run(options)
         print(table(compared))
         print(plot(compared, options.out / "generalization.png"))
         if ablated:
             print(f"\n{table(ablated)}\n\n{differences(ablated)}")
-    except ValueError as error:
-        refuse(str(error))
-    except OSError as error:
-        refuse(f"out = {options.out}: {error.strerror or error}")
 
 
 if __name__ == "__main__":

@@ -22,8 +22,8 @@ import numpy as np
 import tyro
 
 import fntg_jax
+from experiments import script
 from fntg_jax import evaluation, fitness, plots, runner, settings, xla
-from fntg_jax.cli import refuse
 from fntg_jax.layout import get_layout
 from fntg_jax.rollout import rollout_pairs
 
@@ -72,7 +72,7 @@ class Options:
     seeds: int = 4
     """controllers trained in each set; 0: the shipped controller alone."""
     generations: int = 100
-    """of the preset robust (which has 300): 360 million control steps a controller."""
+    """of the preset robust; its refinement comes on top."""
     population: int = 512
     """genomes."""
     scenes: int = 1000
@@ -101,9 +101,7 @@ def train(options: Options, env_options: dict[str, float]) -> Any:
 
 def run(options: Options) -> Results:
     """Train, then judge every controller under every disturbance.  Raises ValueError."""
-    for name, least in (("seeds", 0), ("generations", 1), ("scenes", 1)):
-        if getattr(options, name) < least:
-            raise ValueError(f"{name} = {getattr(options, name)}: allowed are numbers from {least}")
+    script.check_least(options, seeds=0, generations=1, scenes=1)
     shipped = fntg_jax.load(fntg_jax.shipped("bioa"))
     thetas = [jnp.asarray(shipped.theta, jnp.float32)[None]]
     sets = {"shipped (bioa)": [0]}
@@ -178,13 +176,8 @@ def plot(results: Results, path: Path) -> Path:
 def main() -> None:
     options = tyro.cli(Options, description=__doc__, prog="experiments/noise.py")
     xla.configure(num_cpu_devices=os.cpu_count() or 1)
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
+    with script.folder(options.out):
         print(plot(run(options), options.out / "noise.png"))
-    except ValueError as error:
-        refuse(str(error))
-    except OSError as error:
-        refuse(f"out = {options.out}: {error.strerror or error}")
 
 
 if __name__ == "__main__":

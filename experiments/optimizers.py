@@ -22,10 +22,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import tyro
 
-from experiments import optimizers_brax, optimizers_fntg
+from experiments import optimizers_brax, optimizers_fntg, script
 from experiments.optimizers_fntg import Task
 from fntg_jax import plots, xla
-from fntg_jax.cli import refuse
 from fntg_jax.files import write_atomically
 
 METHODS = (
@@ -73,9 +72,7 @@ class Row(NamedTuple):
 def run(options: Options) -> tuple[list[Row], list[str]]:
     """All runs that the CSV lacks; all rows at this budget, and what was left out and why.
     Raises ValueError: option, value, what is allowed."""
-    for name in ("budget", "seeds", "checkpoints", "eval_scenes"):
-        if getattr(options, name) < 1:
-            raise ValueError(f"{name} = {getattr(options, name)}: allowed are numbers from 1")
+    script.check_least(options, budget=1, seeds=1, checkpoints=1, eval_scenes=1)
     for name in options.methods:
         if name not in METHODS:
             raise ValueError(f"methods = {name!r}: known are {', '.join(METHODS)}")
@@ -223,18 +220,13 @@ def plot(rows: list[Row], path: Path) -> Path:
 def main() -> None:
     options = tyro.cli(Options, description=__doc__, prog="experiments/optimizers.py")
     xla.configure()
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
+    with script.folder(options.out):
         rows, left_out = run(options)
         text = table(rows, left_out) if rows else "\n".join(f"Left out: {x}" for x in left_out)
         print(text)
         write_atomically(options.out / "optimizers.md", (text + "\n").encode())
         if rows:
             print(plot(rows, options.out / "optimizers.png"))
-    except ValueError as error:
-        refuse(str(error))
-    except OSError as error:
-        refuse(f"out = {options.out}: {error.strerror or error}")
 
 
 if __name__ == "__main__":

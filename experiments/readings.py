@@ -22,8 +22,8 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
+from experiments import script
 from fntg_jax import evaluation, fitness, fntg, ga, genome, plots, xla
-from fntg_jax.cli import refuse
 from fntg_jax.fitness import PaperWeights, paper_fitness
 from fntg_jax.ga import GAConfig
 from fntg_jax.layout import expand, get_layout
@@ -188,9 +188,7 @@ def learn(reading: Reading, options: Options, world: Any) -> Result:
 
 def run(options: Options) -> list[Result]:
     """All readings, the default first.  Raises ValueError: option, value, what is allowed."""
-    for name in ("seeds", "generations", "eval_scenes"):
-        if getattr(options, name) < 1:
-            raise ValueError(f"{name} = {getattr(options, name)}: allowed are numbers from 1")
+    script.check_least(options, seeds=1, generations=1, eval_scenes=1)
     known = [r.name for r in READINGS]
     for name in options.only:
         if name not in known:
@@ -326,16 +324,11 @@ def plot(results: list[Result], path: Path) -> Path:
 
 def main() -> None:
     xla.configure()
-    try:
-        options = tyro.cli(Options, description=__doc__, prog="experiments/readings.py")
-        options.out.mkdir(parents=True, exist_ok=True)
+    options = tyro.cli(Options, description=__doc__, prog="experiments/readings.py")
+    with script.folder(options.out):
         results = run(options)
         print("\n" + "\n".join(warnings(results)))
         print(plot(results, options.out / "readings.png"))
-    except ValueError as error:
-        refuse(str(error))
-    except OSError as error:
-        refuse(f"out = {options.out}: {error.strerror or error}")
 
 
 if __name__ == "__main__":

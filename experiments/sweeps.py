@@ -8,8 +8,9 @@ from typing import Any
 
 import tyro
 
+from experiments import script
 from fntg_jax import xla
-from fntg_jax.cli import refuse, say
+from fntg_jax.cli import say
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,15 +33,10 @@ def main(doc: str, name: str, run: Callable, plot: Callable) -> None:
     xla.configure(num_cpu_devices=os.cpu_count() or 1)
     from fntg_jax import sweep_report
 
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
+    with script.folder(options.out):
         table = run(options)
         print(sweep_report.leaderboard(table), end="")
         print(plot(table, options.out / f"{name}.png"))
-    except ValueError as error:
-        refuse(str(error))
-    except OSError as error:
-        refuse(f"out = {options.out}: {error.strerror or error}")
 
 
 def swept(

@@ -72,8 +72,9 @@ def adapt(
 
         def inner(m, carry):
             search, skipped = carry
-            k_scenes, k_samples = jax.random.split(jax.random.fold_in(key, n * validate_every + m))
-            search, num = step(k_samples, search, draw(k_scenes), n * validate_every + m)
+            count = n * validate_every + m
+            k_scenes, k_samples = jax.random.split(jax.random.fold_in(key, count))
+            search, num = step(k_samples, search, draw(k_scenes), count)
             return search, skipped + num
 
         num = jnp.minimum(validate_every, num_steps - n * validate_every)

@@ -176,10 +176,7 @@ def controller(
     """
     config = run.config
     result = run.conclude() if result is None else result
-    if seed is None:
-        index = int(np.argmax(result.fitness))
-    else:
-        index = seed - config.first_seed
+    index = int(np.argmax(result.fitness)) if seed is None else _row(config, seed)
     best, bits = float(result.fitness[index]), None
     if result.bits is not None:
         bits = "".join("1" if b else "0" for b in result.bits[index])
@@ -208,6 +205,14 @@ def controller(
     )
 
 
+def _row(config: TrainConfig, seed: int) -> int:
+    """Where a seed stands in arrays of all seeds.  Raises ValueError where the run lacks it."""
+    last = config.first_seed + config.seeds - 1
+    if not config.first_seed <= seed <= last:
+        raise ValueError(f"seed = {seed}: the run has seeds {config.first_seed} to {last}")
+    return seed - config.first_seed
+
+
 def controller_of_generation(folder: Path, generation: int) -> export.Controller:
     """The best controller of one generation (from 1), of the seed that params.json comes from.
     Raises ValueError (one line) where the folder does not hold it."""
@@ -228,10 +233,7 @@ def controller_of_seed(folder: Path, seed: int) -> export.Controller:
     folder does not hold it."""
     best = export.load(folder / "params.json")
     config = load_config(folder)
-    index = seed - config.first_seed
-    if not 0 <= index < config.seeds:
-        last = config.first_seed + config.seeds - 1
-        raise ValueError(f"seed = {seed}: the run has seeds {config.first_seed} to {last}")
+    index = _row(config, seed)
     if seed == best.provenance.get("seed"):
         return best
     theta = _stored(folder, "theta", (config.seeds, best.layout.num_genes), index)

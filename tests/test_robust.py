@@ -125,7 +125,10 @@ def test_covariance_adaptation_continues_from_the_best_of_the_population(monkeyp
     )
     plain = runner.train(dataclasses.replace(config, refine_steps=0)).conclude()
     result = runner.train(config).conclude()
-    assert result.refined.shape == (1, 3)
-    np.testing.assert_allclose(result.refined[0, 0], plain.fitness[0], rtol=1e-4)
-    assert result.fitness[0] >= result.refined[0, 0]
+    # The start, one validation of the 15 wide steps, two of the 30 fine ones.
+    assert result.refined.shape == (1, 4)
+    # The course is that of the island which wins; it need not have led before.
+    assert result.refined[0, 0] <= plain.fitness[0] * (1 + 1e-4)
+    assert result.fitness[0] == result.refined[0].max()
+    assert result.fitness[0] >= plain.fitness[0] * (1 - 1e-4)
     assert (abs(result.theta) <= 5).all() and result.bits is None

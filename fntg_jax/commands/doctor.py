@@ -36,11 +36,11 @@ def main(argv: list[str]) -> None:
 
 
 def packages() -> list[tuple]:
-    """(name, tested range, installed version or None, extra or "") of all that fntg-jax requires,
+    """(name, tested range, installed version or None, extras or "") of all that fntg-jax requires,
     from its own package metadata; tools for its development are left out."""
     from packaging.requirements import Requirement
 
-    found = []
+    found: dict[str, tuple] = {}
     for text in metadata.requires("fntg-jax") or []:
         requirement = Requirement(text)
         extra = str(requirement.marker).partition('extra == "')[2].partition('"')[0]
@@ -50,8 +50,11 @@ def packages() -> list[tuple]:
             installed = metadata.version(requirement.name)
         except metadata.PackageNotFoundError:
             installed = None
-        found.append((requirement.name, requirement.specifier, installed, extra))
-    return found
+        name, tested = requirement.name, requirement.specifier
+        if name in found:  # asked for by another extra, too
+            tested, extra = found[name][1] & tested, f"{found[name][3]}, {extra}"
+        found[name] = (name, tested, installed, extra)
+    return list(found.values())
 
 
 def _devices() -> list[str]:

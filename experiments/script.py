@@ -1,0 +1,28 @@
+"""What the scripts share: a folder for results, and one line where something is off."""
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from fntg_jax.cli import refuse
+
+
+@contextlib.contextmanager
+def folder(out: Path) -> Iterator[None]:
+    """Make the folder; a ValueError or an unwritable folder ends the script with one line and
+    status 2."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        yield
+    except ValueError as error:
+        refuse(str(error))
+    except OSError as error:
+        refuse(f"out = {out}: {error.strerror or error}")
+
+
+def check_least(options: Any, **least: int) -> None:
+    """Raises ValueError (option, value, what is allowed) where one is below its least value."""
+    for name, allowed in least.items():
+        if (value := getattr(options, name)) < allowed:
+            raise ValueError(f"{name} = {value}: allowed are numbers from {allowed}")
