@@ -37,7 +37,9 @@ class Options:
     out: Path = Path("runs/generalization")
     """folder of the results."""
     seeds: int = 10
-    """learning runs of each method and of each ablation."""
+    """learning runs of each method."""
+    ablation_seeds: int = 5
+    """learning runs of each ablation, beside the first ones of robust."""
     generations: int = 0
     """generations of both presets; 0 for each preset's own."""
     gradient_steps: int = 600
@@ -153,8 +155,9 @@ def run(options: Options) -> tuple[list[Row], list[Row]]:
     """Rows of the comparison and of the ablations; writes the CSVs.  Raises ValueError: option,
     value, what is allowed."""
     script.check_least(
-        options, seeds=1, generations=0, gradient_steps=1, gradient_starts=1, scenes=1
-    )
+        options, seeds=1, ablation_seeds=1, generations=0, gradient_steps=1, gradient_starts=1,
+        scenes=1,
+    )  # fmt: skip
     paper, robust = (
         dataclasses.replace(p, generations=options.generations or p.generations)
         for p in (settings.PRESETS["paper"], settings.PRESETS["robust"])
@@ -185,8 +188,9 @@ def run(options: Options) -> tuple[list[Row], list[Row]]:
         "generalization.csv",
         [],
     )
-    whole = [row for row in compared if row.method == "robust"]
-    methods: dict[str, Method] = {n: partial(evolved, known[n], options.seeds) for n in wanted}
+    num = min(options.ablation_seeds, options.seeds)
+    whole = [row for row in compared if row.method == "robust"][:num]
+    methods: dict[str, Method] = {n: partial(evolved, known[n], num) for n in wanted}
     return compared, collect(methods, "ablations.csv", whole) if wanted else []
 
 

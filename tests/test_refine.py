@@ -192,16 +192,19 @@ def bowl_problem(monkeypatch):
     monkeypatch.setattr("fntg_jax.evaluation.held_out_suites", lambda world: ["open"])
 
 
-def test_the_command_writes_a_controller_that_reads(command, bowl_problem, tmp_path):
+@pytest.mark.parametrize("method", ["gradient", "cma"])
+def test_the_command_writes_a_controller_that_reads(command, bowl_problem, tmp_path, method):
     start = random_controller("full-63", provenance={"seed": 3})
     export.save(start, tmp_path / "in.json")
-    status, out, err = command("in.json", "--steps", 40, "--rate", 0.05, "--out", "out.json")
+    steps = ("--method", method, "--steps", 40)
+    status, out, err = command("in.json", *steps, "--rate", 0.05, "--out", "out.json")
     assert (status, out) == (0, "out.json\n"), err
     found = export.load(tmp_path / "out.json")
     before, after = (np.mean((c.theta - 1) ** 2) for c in (start, found))
     assert after < before and f"{before:.5g} before, {after:.5g} after" in err
     assert "held-out scenes" in err and "  open " in err and "skipped" not in err
     assert found.provenance["seed"] == 3 and found.provenance["refine_steps"] == 40
+    assert found.provenance["refine_method"] == method
     assert found.provenance["fitness"] == pytest.approx(10 / (0.1 + after), rel=1e-5)
 
 
@@ -218,6 +221,8 @@ def test_the_command_returns_the_start_where_nothing_is_better(command, bowl_pro
     [
         (("--steps", 0), ("steps", "0")),
         (("--rate", "nan"), ("rate", "nan")),
+        (("--sigma", 0), ("sigma", "0")),
+        (("--method", "moon"), ("method", "moon", "cma")),
         (("--scenes", 0), ("scenes", "0")),
         (("--seed", -1), ("seed", "-1")),
         (("--optimizer", "moon"), ("optimizer", "moon", "adam")),

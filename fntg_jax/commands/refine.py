@@ -1,8 +1,8 @@
-"""`fntg refine`: gradient descent on an exported controller's genes."""
+"""`fntg refine`: an exported controller's genes made better, along gradients or by CMA-ES."""
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -12,20 +12,25 @@ from fntg_jax.cli import load_controller, parse, say
 
 @dataclasses.dataclass(frozen=True)
 class RefineOptions:
-    """Descend on a controller's genes along the gradient through its trials, and write the best
-    iterate on validation scenes; where none is better than the start, the start.  How often it
-    succeeds on held-out scenes before and after goes to stderr."""
+    """Start from a controller's genes, descend along the gradient through its trials or adapt a
+    cloud of samples (CMA-ES), and write the best iterate on validation scenes; where none is better
+    than the start, the start.  How often it succeeds on held-out scenes before and after goes to
+    stderr."""
 
     controller: Annotated[Path, tyro.conf.Positional]
     """params.json, an exported .fll, or a run folder."""
     out: Path = Path("refined.json")
     """file to write, in the exchange format (`fntg export` makes others of it)."""
+    method: Literal["gradient", "cma"] = "gradient"
+    """gradient: cheap and local; cma: 48 samples a step, passes the jumps of the roll-out."""
     steps: int = 300
-    """gradient steps."""
+    """steps of the method."""
     rate: float = 0.003
-    """learning rate at the start, falling to 5 % of it."""
+    """gradient: learning rate at the start, falling to 5 % of it."""
     optimizer: str = "adam"
-    """an optax optimizer by name: adam, sgd, rmsprop, lion, ..."""
+    """gradient: an optax optimizer by name: adam, sgd, rmsprop, lion, ..."""
+    sigma: float = 0.2
+    """cma: first step size, in genes."""
     suite: str = "open:2,blocked:3"
     """training and validation scenes: a suite, or several with their shares."""
     scenes: int = 128
@@ -44,8 +49,10 @@ def main(argv: list[str]) -> None:
         if not 1 <= getattr(options, name) <= most:
             value = getattr(options, name)
             raise ValueError(f"{name} = {value}: allowed are whole numbers from 1 to {most}")
-    if not 0 < options.rate <= 1:
-        raise ValueError(f"rate = {options.rate}: allowed are numbers above 0, up to 1")
+    for name, most in (("rate", 1), ("sigma", 5)):
+        if not 0 < getattr(options, name) <= most:
+            value = getattr(options, name)
+            raise ValueError(f"{name} = {value}: allowed are numbers above 0, up to {most}")
     if not 0 <= options.seed < 2**32:
         raise ValueError(f"seed = {options.seed}: allowed are whole numbers from 0 below 2^32")
     if not options.out.parent.is_dir() or options.out.is_dir():
@@ -55,32 +62,41 @@ def main(argv: list[str]) -> None:
     import jax.numpy as jnp
     import numpy as np
 
-    from fntg_jax import evaluation, export, refine, settings
+    from fntg_jax import cma, evaluation, export, refine, settings
 
     controller = load_controller(options.controller)
     world = settings.get_world(options.env)
     suite = settings.get_suite(world, options.suite)
     optimiser = refine.optimiser(options.optimizer, options.steps, options.rate)
+    gradient = options.method == "gradient"
     env = evaluation.environment_for(controller, world, **options.env_options)
     problem = refine.smooth_problem(
         controller.layout, env, suite, options.scenes, controller.output, options.seed
     )
     say(
-        f"{options.steps} steps of {options.optimizer} on {options.scenes} scenes each "
-        f"({options.suite}), world {options.env}; compiling takes a while ..."
+        f"{options.steps} steps of {options.optimizer if gradient else 'CMA-ES'} on "
+        f"{options.scenes} scenes each ({options.suite}), world {options.env}; compiling takes a "
+        "while ..."
     )
-    descend = jax.jit(
-        lambda theta: refine.refine(
-            jax.random.key(options.seed), theta, *problem, optimiser, options.steps
-        ),
-        compiler_options=xla.GRADIENT_OPTIONS,
+    key = jax.random.key(options.seed)
+
+    def descend(theta):
+        found = refine.refine(key, theta[None], *problem, optimiser, options.steps)
+        return jax.tree.map(lambda x: x[0], found)
+
+    def adapt(theta):
+        return cma.adapt(key, theta, *problem, options.steps, options.sigma)
+
+    program = (
+        jax.jit(descend, compiler_options=xla.GRADIENT_OPTIONS) if gradient else jax.jit(adapt)
     )
-    refined = descend(jnp.asarray(controller.theta, jnp.float32)[None])
-    refined = jax.tree.map(lambda x: np.asarray(x[0]), refined)
+    refined = program(jnp.asarray(controller.theta, jnp.float32))
+    refined = jax.tree.map(np.asarray, refined)
     before, after = float(refined.history[0]), float(refined.cost)
     num_validation = jax.tree.leaves(problem.validation)[0].shape[0]
     if refined.num_skipped:
-        say(f"{refined.num_skipped} of {options.steps} steps skipped: gradient not finite")
+        what = "steps skipped: gradient" if gradient else "samples skipped: cost"
+        say(f"{refined.num_skipped} {what} not finite")
     say(f"mean cost on {num_validation} validation scenes: {before:.5g} before, {after:.5g} after")
     better = after < before
     if better:
@@ -105,9 +121,13 @@ def _refined(controller: Any, refined: Any, options: RefineOptions) -> Any:
         "env": options.env,
         "objective": "smooth",
         "fitness": 10 / (0.1 + float(refined.cost)),  # as `fitness.smooth_fitness`
+        "refine_method": options.method,
         "refine_steps": options.steps,
-        "refine_optimizer": options.optimizer,
-        "refine_rate": options.rate,
+        **(
+            {"refine_optimizer": options.optimizer, "refine_rate": options.rate}
+            if options.method == "gradient"
+            else {"refine_sigma": options.sigma}
+        ),
         "refine_suite": options.suite,
         "refine_seed": options.seed,
     }
