@@ -2,11 +2,12 @@
 
     python -m experiments.optimizers
 
-Our genetic algorithm (settings of the paper and of the preset robust, and with gradients after
-it), gradients alone, evosax's CMA-ES, OpenES and SimpleGA, and brax's trainers, all on the
-smooth objective and the scene mix of the preset robust.  Success is on unseen scenes, the mean of
-the suites open and blocked.  A gradient step counts three control steps for one (forward, forward
-again, backward).  Seconds are those of training alone, without compilation and judging.
+Our genetic algorithm (settings of the paper and of the preset robust, and with that preset's
+refinement or with gradients after it), gradients alone, evosax's CMA-ES, OpenES and SimpleGA, and
+brax's trainers, all on the smooth objective and the scene mix of the preset robust.  Success is on
+unseen scenes, the mean of the suites open and blocked.  A gradient step counts three control steps
+for one (forward, forward again, backward).  Seconds are those of training alone, without
+compilation and judging.
 
 Results are added to optimizers.csv as each run ends; runs that are in it are not repeated.  brax's
 networks go faster without our XLA flags: run those methods first, with FNTG_XLA_FLAGS=off and
@@ -28,8 +29,8 @@ from fntg_jax import plots, xla
 from fntg_jax.files import write_atomically
 
 METHODS = (
-    "ga-paper", "ga-robust", "ga-refined", "gradient", "cma-es", "open-es", "simple-ga",
-    *optimizers_brax.NAMES,
+    "ga-paper", "ga-robust", "ga-refined", "ga-gradient", "gradient", "cma-es", "open-es",
+    "simple-ga", *optimizers_brax.NAMES,
 )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.optimizers_fntg import Checkpoint, Task
+from experiments.optimizers_fntg import Checkpoint, Task, partitions
 from fntg_jax import fntg
 from fntg_jax.layout import HIGH, LOW, expand, get_layout
 
@@ -40,13 +40,13 @@ class _Deterministic:
 
 def fntg_networks(make: Any, env: Any, **_: Any) -> Any:
     """The FNTG's 31 genes as brax networks (a network factory once `make` and `env` are given):
-    parameters [31], uniform in (-5, 5) at the start and clipped to it in use."""
+    parameters [31], a random fuzzy partition at the start and clipped to (-5, 5) in use."""
     from brax.training.networks import FeedForwardNetwork
 
     layout = get_layout("paper-31")
 
     def init(key):
-        return jax.random.uniform(key, (layout.num_genes,), minval=LOW, maxval=HIGH)
+        return partitions(key, 1, layout)[0]
 
     def apply(normalizer, theta, observation):
         del normalizer  # metres and radians are what the genes mean

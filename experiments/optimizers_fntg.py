@@ -1,7 +1,8 @@
 """Optimisers of the FNTG's genes, on one footing: our genetic algorithm, gradients, evosax.
 
 A `Search` is a start and an iteration; every iteration draws scenes anew from one pool and uses the
-smooth objective.  Each names a champion; at a checkpoint the last 16 champions (for a
+smooth objective.  All start in a fuzzy partition (`Layout.partition`), but for the paper's own
+settings, which start anywhere.  Each names a champion; at a checkpoint the last 16 champions (for a
 distribution also its mean) meet on validation scenes, and the best goes to the unseen ones.  That
 choice costs no budget, for anyone.
 """
@@ -17,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from fntg_jax import evaluation, fitness, ga, genome, refine
+from fntg_jax import cma, evaluation, fitness, ga, genome, refine, xla
 from fntg_jax.fitness import PaperWeights, SmoothWeights
-from fntg_jax.layout import HIGH, LOW, get_layout
+from fntg_jax.layout import HIGH, LOW, Layout, get_layout
 from fntg_jax.objective import Static, Traced, draw_scenes, score
 from fntg_jax.rollout import rollout_pairs
 from fntg_jax.settings import PRESETS, get_suite, get_world
@@ -28,6 +29,8 @@ SUITES = ("open", "blocked")
 STEPS = 220  # control steps a trial
 _CHAMPIONS = 16
 _VALIDATION = 1024  # scenes
+_LAYOUT = get_layout("paper-31")
+_GENES = _LAYOUT.num_genes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,7 +50,7 @@ class Task:
 
     @cached_property
     def static(self) -> Static:
-        return Static(get_layout("paper-31"), "scale", "smooth", self.num_scenes, fresh=True)
+        return Static(_LAYOUT, "scale", "smooth", self.num_scenes, fresh=True)
 
     @cached_property
     def traced(self) -> Traced:
@@ -98,20 +101,27 @@ class Search(NamedTuple):
     """start: (key, theta of an earlier phase or None) -> state.  iterate: (key, state, progress,
     iterations, cost_fn, draw) -> state, champion [genes]; iterations: of the whole phase.  mean:
     state -> theta [n, genes], further candidates.  steps: (num_scenes) -> control steps an
-    iteration."""
+    iteration.  compiler_options: of its program."""
 
     start: Callable[..., Any]
     iterate: Callable[..., Any]
     mean: Callable[[Any], Any]
     steps: Callable[[int], int]
+    compiler_options: dict[str, Any] | None = None
 
 
-def genetic(config: ga.GAConfig) -> Search:
-    """Our genetic algorithm."""
+def partitions(key: Any, num: int, layout: Layout = _LAYOUT) -> Any:
+    """num random fuzzy partitions [num, genes]."""
+    low, high = layout.partition.T
+    return jax.random.uniform(key, (num, layout.num_genes), minval=low, maxval=high)
+
+
+def genetic(config: ga.GAConfig, ranges: Any = None) -> Search:
+    """Our genetic algorithm, from genes between `ranges` [genes, 2], or any."""
 
     def start(key, theta):
         del theta
-        return ga.init(key, 31, config)
+        return ga.init(key, _GENES, config, ranges)
 
     def iterate(key, state, progress, iterations, cost_fn, draw):
         del key, progress  # it draws its own, and decay and merge go by generation / horizon
@@ -124,7 +134,10 @@ def genetic(config: ga.GAConfig) -> Search:
         return state, genome.decode(record.best_bits, config.num_bits, config.gray)
 
     return Search(
-        start, iterate, lambda state: jnp.zeros((0, 31)), lambda n: config.population * n * STEPS
+        start,
+        iterate,
+        lambda state: jnp.zeros((0, _GENES)),
+        lambda n: config.population * n * STEPS,
     )
 
 
@@ -137,7 +150,7 @@ def gradient(num_starts: int, rate: float) -> Search:
 
     def start(key, theta):
         if theta is None:
-            theta = jax.random.uniform(key, (num_starts, 31), minval=LOW, maxval=HIGH)
+            theta = partitions(key, num_starts)
         # The state does not depend on the length of the schedule.
         return theta[:num_starts], refine.optimiser("adam", 1, rate).init(theta[:num_starts])
 
@@ -145,10 +158,11 @@ def gradient(num_starts: int, rate: float) -> Search:
         theta, moments = state
         scenes = draw(key)
 
-        def cost(t):
-            return cost_fn(t[None], scenes, progress, checkpoint=True)[0]
+        def total(theta):  # nobody's cost depends on another's genes
+            value = cost_fn(theta, scenes, progress, checkpoint=True)
+            return jnp.sum(value), value
 
-        value, slope = jax.vmap(jax.value_and_grad(cost))(theta)
+        (_, value), slope = jax.value_and_grad(total, has_aux=True)(theta)
         slope = jnp.where(jnp.all(jnp.isfinite(slope), axis=1, keepdims=True), slope, 0)
         # Each start has its own clipping: one steep one must not stop the rest.
         norm = jnp.maximum(jnp.linalg.norm(slope, axis=1, keepdims=True), 1.0)
@@ -158,7 +172,35 @@ def gradient(num_starts: int, rate: float) -> Search:
         new = jnp.clip(optax.apply_updates(theta, updates), LOW, HIGH)
         return (new, moments), theta[jnp.argmin(value)]
 
-    return Search(start, iterate, lambda s: s[0], lambda n: 3 * num_starts * n * STEPS)
+    return Search(
+        start, iterate, lambda s: s[0], lambda n: 3 * num_starts * n * STEPS, xla.GRADIENT_OPTIONS
+    )
+
+
+def covariance(sigma: float, population: int = 48, batches: int = 4) -> Search:
+    """Our covariance matrix adaptation, from the best of an earlier phase, as the preset robust
+    uses it: on as many scenes a step as `batches` draws give."""
+
+    def start(key, theta):
+        del key
+        return cma.init(theta[0], sigma), jnp.asarray(0)
+
+    def iterate(key, state, progress, iterations, cost_fn, draw):
+        del iterations
+        search, count = state
+        k_scenes, k_samples = jax.random.split(key)
+        parts = [draw(k) for k in jax.random.split(k_scenes, batches)]
+        scenes = jax.tree.map(lambda *x: jnp.concatenate(x), *parts)
+        step = cma.make_step(_GENES, population, lambda theta, s: cost_fn(theta, s, progress))
+        search, _ = step(k_samples, search, scenes, count)
+        return (search, count + 1), cma.inside(search.mean)
+
+    return Search(
+        start,
+        iterate,
+        lambda state: cma.inside(state[0].mean)[None],
+        lambda n: population * batches * n * STEPS,
+    )
 
 
 def evosax_search(algorithm: Any, params: Any, population: int, distribution: bool) -> Search:
@@ -166,9 +208,9 @@ def evosax_search(algorithm: Any, params: Any, population: int, distribution: bo
 
     def start(key, theta):
         del theta
-        first = jax.random.uniform(key, (population, 31), minval=LOW, maxval=HIGH)
+        first = partitions(key, population)
         if distribution:
-            return algorithm.init(key, jnp.zeros(31), params)
+            return algorithm.init(key, first[0], params)
         return algorithm.init(key, first, jnp.arange(population, dtype=jnp.float32), params)
 
     def iterate(key, state, progress, iterations, cost_fn, draw):
@@ -182,7 +224,7 @@ def evosax_search(algorithm: Any, params: Any, population: int, distribution: bo
 
     def mean(state):
         if not distribution:
-            return jnp.zeros((0, 31))
+            return jnp.zeros((0, _GENES))
         return jnp.clip(algorithm.get_mean(state), LOW, HIGH)[None]
 
     return Search(start, iterate, mean, lambda n: population * n * STEPS)
@@ -195,27 +237,22 @@ def searches() -> dict[str, list[tuple[Search, float]]]:
     """
     from evosax.algorithms import CMA_ES, Open_ES, SimpleGA
 
-    robust = PRESETS["robust"].ga
-    zero = jnp.zeros(31)
-    cma, simple = CMA_ES(64, zero), SimpleGA(256, zero, std_schedule=_decay(0.5))
+    robust = genetic(PRESETS["robust"].ga, _LAYOUT.partition)
+    zero = jnp.zeros(_GENES)
+    adapt, simple = CMA_ES(64, zero), SimpleGA(256, zero, std_schedule=_decay(0.5))
     open_es = Open_ES(256, zero, optimizer=optax.adam(0.05), std_schedule=_decay(0.5))
+    wide = adapt.default_params.replace(std_init=jnp.asarray(1.0))
+    crossed = simple.default_params.replace(crossover_rate=0.5)
     return {
         "ga-paper": [(genetic(ga.GAConfig()), 1.0)],
-        "ga-robust": [(genetic(robust), 1.0)],
-        "ga-refined": [(genetic(robust), 0.7), (gradient(4, 0.003), 0.3)],
+        "ga-robust": [(robust, 1.0)],
+        # The preset robust: its three phases at their shares of its budget.
+        "ga-refined": [(robust, 0.2), (covariance(0.5), 0.4), (covariance(0.2), 0.4)],
+        "ga-gradient": [(robust, 0.7), (gradient(4, 0.003), 0.3)],
         "gradient": [(gradient(16, 0.03), 1.0)],
-        "cma-es": [
-            (evosax_search(cma, cma.default_params.replace(std_init=jnp.asarray(2.0)), 64, True), 1)
-        ],
+        "cma-es": [(evosax_search(adapt, wide, 64, True), 1.0)],
         "open-es": [(evosax_search(open_es, open_es.default_params, 256, True), 1.0)],
-        "simple-ga": [
-            (
-                evosax_search(
-                    simple, simple.default_params.replace(crossover_rate=0.5), 256, False
-                ),
-                1,
-            )
-        ],
+        "simple-ga": [(evosax_search(simple, crossed, 256, False), 1.0)],
     }
 
 
@@ -262,7 +299,7 @@ def _compiled(name, phase, search, task, num, length, state):
         _programs[which] = (
             jax.jit(partial(_block, search=search, task=task, num=num, length=length, phase=phase))
             .lower(state, jax.random.key(0), jnp.asarray(0), task.traced)
-            .compile()
+            .compile(compiler_options=search.compiler_options)
         )
     return _programs[which]
 

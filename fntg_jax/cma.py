@@ -34,7 +34,7 @@ class Adapted(NamedTuple):
     num_skipped: Int[Array, ""]
 
 
-class _Search(NamedTuple):
+class Search(NamedTuple):
     """State of the search; names as in the tutorial."""
 
     mean: Array
@@ -42,6 +42,17 @@ class _Search(NamedTuple):
     C: Array
     p_sigma: Array
     p_c: Array
+
+
+class Course(NamedTuple):
+    """A search under way: its state, steps so far, the best validated mean with its cost, samples
+    without finite cost so far."""
+
+    search: Search
+    num_steps: Int[Array, ""]
+    theta: Float[Array, " genes"]
+    cost: Float[Array, ""]
+    num_skipped: Int[Array, ""]
 
 
 def adapt(
@@ -62,45 +73,69 @@ def adapt(
     scenes for the choice of the mean.  sigma: first step size, in genes.  Samples outside of
     [-5, 5] are judged on the bound and pay for the way there.
     """
-    step = _make_step(theta.shape[0], population, costs_fn)
 
-    def judge(mean):
-        return costs_fn(_inside(mean)[None], validation)[0]
-
-    def validated(carry, n):
-        search, best, best_cost, skipped = carry
-
-        def inner(m, carry):
-            search, skipped = carry
-            count = n * validate_every + m
-            k_scenes, k_samples = jax.random.split(jax.random.fold_in(key, count))
-            search, num = step(k_samples, search, draw(k_scenes), count)
-            return search, skipped + num
-
+    def round_(course, n):
         num = jnp.minimum(validate_every, num_steps - n * validate_every)
-        search, skipped = jax.lax.fori_loop(0, num, inner, (search, skipped))
-        cost = judge(search.mean)
-        better = cost < best_cost  # never with NaN
-        best = jnp.where(better, _inside(search.mean), best)
-        return (search, best, jnp.where(better, cost, best_cost), skipped), cost
+        return advance(key, course, costs_fn, draw, validation, num, population)
 
-    size = theta.shape[0]
-    search = _Search(theta, jnp.asarray(sigma), jnp.eye(size), jnp.zeros(size), jnp.zeros(size))
-    first = judge(theta)
-    start = jnp.where(jnp.isfinite(first), first, jnp.inf)
-    rounds = -(-num_steps // validate_every)
-    (_, best, cost, skipped), history = jax.lax.scan(
-        validated, (search, theta, start, jnp.zeros((), int)), jnp.arange(rounds)
+    first = costs_fn(inside(theta)[None], validation)[0]
+    course, history = jax.lax.scan(
+        round_, begin(theta, first, sigma), jnp.arange(-(-num_steps // validate_every))
     )
-    return Adapted(best, cost, jnp.concatenate([first[None], history]), skipped)
+    history = jnp.concatenate([first[None], history])
+    return Adapted(course.theta, course.cost, history, course.num_skipped)
 
 
-def _inside(theta):
+def begin(theta: Float[Array, " genes"], cost: Float[Array, ""], sigma: float) -> Course:
+    """Before the first step from theta; cost: that of theta on the validation scenes."""
+    cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
+    zero = jnp.zeros((), int)
+    return Course(init(theta, sigma), zero, theta, cost, zero)
+
+
+def advance(
+    key: Key[Array, ""],
+    course: Course,
+    costs_fn: CostsFn,
+    draw: Callable[[Key[Array, ""]], Any],
+    validation: Any,
+    num_steps: int | Int[Array, ""],
+    population: int = 48,
+) -> tuple[Course, Float[Array, ""]]:
+    """num_steps more samplings, then the mean is validated: the course and that cost.  Arguments
+    as of `adapt`; in parts or in one go, the same key gives the same samples."""
+    step = make_step(course.theta.shape[0], population, costs_fn)
+
+    def inner(m, carry):
+        search, skipped = carry
+        count = course.num_steps + m
+        k_scenes, k_samples = jax.random.split(jax.random.fold_in(key, count))
+        search, num = step(k_samples, search, draw(k_scenes), count)
+        return search, skipped + num
+
+    search, skipped = jax.lax.fori_loop(0, num_steps, inner, (course.search, course.num_skipped))
+    mean = inside(search.mean)
+    cost = costs_fn(mean[None], validation)[0]
+    better = cost < course.cost  # never with NaN
+    theta = jnp.where(better, mean, course.theta)
+    best = jnp.where(better, cost, course.cost)
+    return Course(search, course.num_steps + num_steps, theta, best, skipped), cost
+
+
+def inside(theta):
+    """theta [..., genes] on the bounds of the genes where it is outside."""
     return jnp.clip(theta, LOW, HIGH)
 
 
-def _make_step(n: int, population: int, costs_fn: CostsFn):
-    """One sampling and update: (key, search, scenes, number of the step) -> search, skipped."""
+def init(theta: Float[Array, " genes"], sigma: float) -> Search:
+    """A search around theta with that step size, in genes, the same in all directions."""
+    size = theta.shape[0]
+    return Search(theta, jnp.asarray(sigma), jnp.eye(size), jnp.zeros(size), jnp.zeros(size))
+
+
+def make_step(n: int, population: int, costs_fn: CostsFn):
+    """One sampling and update of n genes: (key, search, scenes, number of the step from 0) ->
+    search, samples skipped."""
     num = population // 2
     weights = np.log(num + 0.5) - np.log(np.arange(1, num + 1))
     weights /= weights.sum()
@@ -113,15 +148,15 @@ def _make_step(n: int, population: int, costs_fn: CostsFn):
     chi = np.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n * n))  # expected length of N(0, I)
     weights = jnp.asarray(weights, jnp.float32)
 
-    def step(key, search: _Search, scenes, count):
+    def step(key, search: Search, scenes, count):
         mean, sigma, C, p_sigma, p_c = search
         eigenvalues, B = jnp.linalg.eigh(C)
         D = jnp.sqrt(jnp.maximum(eigenvalues, 1e-10))
         y = (jax.random.normal(key, (population, n)) * D) @ B.T
         x = mean + sigma * y
-        cost = costs_fn(_inside(x), scenes)
+        cost = costs_fn(inside(x), scenes)
         finite = jnp.isfinite(cost)
-        outside = jnp.sum((x - _inside(x)) ** 2, axis=1)
+        outside = jnp.sum((x - inside(x)) ** 2, axis=1)
         order = jnp.argsort(jnp.where(finite, cost + _OUTSIDE * outside, jnp.inf))[:num]
         y = y[order]
         y_mean = weights @ y
@@ -138,6 +173,6 @@ def _make_step(n: int, population: int, costs_fn: CostsFn):
             + c_mu * (weights * y.T) @ y
         )
         sigma = jnp.minimum(sigma * jnp.exp((c_sigma / damping) * (length - 1)), HIGH - LOW)
-        return _Search(mean + search.sigma * y_mean, sigma, C, p_sigma, p_c), jnp.sum(~finite)
+        return Search(mean + search.sigma * y_mean, sigma, C, p_sigma, p_c), jnp.sum(~finite)
 
     return step

@@ -1,21 +1,55 @@
 """The controller of a seed: best of the last population on validation scenes, then refined."""
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from fntg_jax import cma, genome
+from fntg_jax import cma, genome, hosts, memory, xla
 from fntg_jax.objective import draw_scenes, score
 from fntg_jax.parallel import GENOME, over_seeds
 
 _SCREENING = 256  # validation scenes for a first look at the whole population
 _FINALISTS = 16
+_VALIDATE_EVERY = 20  # steps of covariance adaptation
 
 
-def choose(state, floats, scenes, validation, *, config, static, mesh):
-    """theta [S, genes], validated fitness [S], row of the population it comes from [S], and the
-    course of the refinement [S, n] in fitness, or None."""
+class Chosen(NamedTuple):
+    """theta: [S, genes]; fitness: [S], on the validation scenes; row: [S], of the last population,
+    that theta is or was refined from; refined: [S, n] fitness in the course of the refinement, or
+    None."""
 
-    def one_seed(shared, bits, key, seed_floats):
+    theta: np.ndarray
+    fitness: np.ndarray
+    row: np.ndarray
+    refined: np.ndarray | None
+
+
+def conclude(run: Any, validation: Any, show: Callable[[int, int, float], None]) -> Chosen:
+    """Choose and refine, for every seed of a `runner.Run`.
+
+    show: called with the steps of refinement done and wanted, and the best fitness so far (median
+    over seeds).
+    """
+    config, num = run.config, run.num_rows
+    choose = jax.jit(partial(_choose, config=config, static=run.config_static(), mesh=run.mesh))
+    found = choose(run.state, run.floats, run.scenes, validation)
+    theta, value, row = (hosts.gather(x)[:num] for x in found)
+    if config.refine_steps == 0:
+        return Chosen(theta[:, 0], value[:, 0], row, None)
+    refine = {"gradient": _gradient, "cma": _cma}[config.refine_method]
+    theta, cost, history = refine(run, theta, 10 / value, validation, show)
+    return Chosen(theta, 10 / cost, row, 10 / history)
+
+
+def _choose(state, floats, scenes, validation, *, config, static, mesh):
+    """The best `refine_top` of the last population: theta [S, n, genes] and validated fitness
+    [S, n], best first; row of the population the first comes from [S]."""
+
+    def one_seed(shared, bits, seed_floats):
         scenes, validation = shared
         few = jax.tree.map(lambda x: x[:_SCREENING], validation)
         traced = seed_floats._replace(scenes=scenes)
@@ -30,71 +64,107 @@ def choose(state, floats, scenes, validation, *, config, static, mesh):
         value = score(static, traced, theta[rows], validation, axis=GENOME)
         # Refinement starts from different islands as long as there are some.
         order = _best_first(value.reshape(islands, most)) + most * jnp.arange(islands)[:, None]
-        leaders = order[_best_first(value[order[:, 0]])].T.ravel()
-        rows, value = rows[leaders], value[leaders]
-        if config.refine_steps == 0:
-            return theta[rows[0]], value[0], rows[0], jnp.zeros((0,))
-        found = _REFINE[config.refine_method](
-            jax.random.fold_in(key, config.generations),
-            theta[rows[: config.refine_top]],
-            validation,
-            config,
-            static._replace(num_scenes=config.refine_scenes or config.num_scenes),
-            traced,
-        )
-        return found.theta, 10 / found.cost, rows[0], 10 / found.history
+        leaders = order[_best_first(value[order[:, 0]])].T.ravel()[: config.refine_top]
+        return theta[rows[leaders]], value[leaders], rows[leaders[0]]
 
-    theta, value, row, course = over_seeds(one_seed, mesh)(
-        (scenes, validation), (state.bits, state.key, floats)
-    )
-    return theta, value, row, course if config.refine_steps else None
+    return over_seeds(one_seed, mesh)((scenes, validation), (state.bits, floats))
 
 
 def _best_first(value):
     return jnp.argsort(jnp.where(jnp.isfinite(value), -value, jnp.inf), axis=-1)
 
 
-def _gradient(key, theta, validation, config, static, traced):
+# Refinements: (run, theta [S, n, genes], cost [S, n], validation, show) -> theta [S, genes],
+# cost [S], costs on the way [S, ...], those of the start first.
+
+
+def _gradient(run, theta, cost, validation, show):
     # Here, because optax takes a good part of a second to load.
     from fntg_jax import refine
 
-    def cost_fn(theta, some):
-        # Checkpointed: reverse mode then stores one state a control step.
-        return 10 / score(static, traced, theta, some, checkpoint=True)
+    config = run.config
+    static = _refining(run)
 
-    found = refine.refine(
-        key,
-        theta,
-        cost_fn,
-        lambda k: draw_scenes(static, traced, k),
-        validation,
-        refine.optimiser("adam", config.refine_steps, config.refine_rate),
-        config.refine_steps,
-    )
-    return jax.tree.map(lambda x: x[jnp.argmin(found.cost)], found)
+    def one_seed(shared, key, seed_floats, theta):
+        scenes, validation = shared
+        traced = seed_floats._replace(scenes=scenes)
 
+        def cost_fn(theta, some):
+            # Checkpointed: reverse mode then stores one state a control step.
+            return 10 / score(static, traced, theta, some, checkpoint=True)
 
-def _cma(key, theta, validation, config, static, traced):
-    """Half of the steps from each theta with large step sizes, which may leave a local optimum for
-    a better one; then all of the steps, with small ones, from the best."""
-
-    def search(key, theta, num_steps, sigma):
-        return cma.adapt(
-            key,
+        found = refine.refine(
+            jax.random.fold_in(key, config.generations),
             theta,
+            cost_fn,
+            lambda k: draw_scenes(static, traced, k),
+            validation,
+            refine.optimiser("adam", config.refine_steps, config.refine_rate),
+            config.refine_steps,
+        )
+        return jax.tree.map(lambda x: x[jnp.argmin(found.cost)], found)
+
+    program = jax.jit(over_seeds(one_seed, run.mesh), compiler_options=xla.GRADIENT_OPTIONS)
+    rows = (run.state.key, run.floats, run.place_rows(theta))
+    found = program((run.scenes, validation), rows)
+    theta, cost, history = (hosts.gather(x)[: run.num_rows] for x in found[:3])
+    show(config.refine_steps, config.refine_steps, float(np.median(10 / cost)))
+    return theta, cost, history
+
+
+def _cma(run, theta, cost, validation, show):
+    """Half of the steps from each theta with large step sizes, which may leave a local optimum for
+    a better one; then all of the steps, with small ones, from the best.
+
+    One compiled program of a few steps for all of it: a roll-out takes seconds to compile.
+    """
+    config, num = run.config, run.num_rows
+    static = _refining(run)
+
+    def one_seed(shared, key, seed_floats, course):
+        scenes, validation, stage, num_steps = shared
+        traced = seed_floats._replace(scenes=scenes)
+        return cma.advance(
+            jax.random.split(jax.random.fold_in(key, config.generations))[stage],
+            course,
             lambda many, some: 10 / score(static, traced, many, some, axis=GENOME),
             lambda k: draw_scenes(static, traced, k),
             validation,
             num_steps,
-            sigma,
         )
 
-    k_wide, k_fine = jax.random.split(key)
-    wide = jax.lax.map(lambda t: search(k_wide, t, -(-config.refine_steps // 2), 0.5), theta)
-    best = jax.tree.map(lambda x: x[jnp.argmin(wide.cost)], wide)
-    fine = search(k_fine, best.theta, config.refine_steps, 0.2)
-    history = jnp.concatenate([best.history, fine.history[1:]])
-    return fine._replace(history=history, num_skipped=best.num_skipped + fine.num_skipped)
+    advance = jax.jit(over_seeds(one_seed, run.mesh))
+    wide, fine = -(-config.refine_steps // 2), config.refine_steps
+    done, wanted = 0, theta.shape[1] * wide + fine
+
+    def search(theta, cost, stage, sigma, num_steps):
+        nonlocal advance, done
+        start = (theta, cost, np.full(num, sigma, np.float32))
+        course = run.place_rows(start, lambda rows: jax.vmap(cma.begin)(*rows))
+        history = [cost]
+        for first in range(0, num_steps, _VALIDATE_EVERY):
+            length = min(_VALIDATE_EVERY, num_steps - first)
+            arguments = (
+                (run.scenes, validation, np.int32(stage), np.int32(length)),
+                (run.state.key, run.floats, course),
+            )
+            if done == 0:
+                advance = advance.lower(*arguments).compile()
+                memory.check(advance, len(run.mesh.local_devices))
+            course, newest = advance(*arguments)
+            history.append(hosts.gather(newest)[:num])
+            done += length
+            show(done, wanted, float(np.median(10 / hosts.gather(course.cost)[:num])))
+        theta, cost = (hosts.gather(x)[:num] for x in (course.theta, course.cost))
+        return theta, cost, np.stack(history, axis=1)
+
+    tried = [search(theta[:, n], cost[:, n], 0, 0.5, wide) for n in range(theta.shape[1])]
+    best = np.argmin([cost for _, cost, _ in tried], axis=0)
+    theta, cost, first = (np.stack(x)[best, np.arange(num)] for x in zip(*tried))
+    theta, cost, last = search(theta, cost, 1, 0.2, fine)
+    return theta, cost, np.concatenate([first, last[:, 1:]], axis=1)
 
 
-_REFINE = {"gradient": _gradient, "cma": _cma}
+def _refining(run):
+    static = run.config_static()
+    return static._replace(num_scenes=run.config.refine_scenes or static.num_scenes)

@@ -12,6 +12,7 @@ import math
 import platform
 import subprocess
 import zipfile
+from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -134,10 +135,12 @@ def restore(folder: Path) -> Run:
     return run
 
 
-def finish(folder: Path, run: Run) -> tuple[Path, Result]:
+def finish(
+    folder: Path, run: Run, show: Callable[[int, int, float], None] = lambda *_: None
+) -> tuple[Path, Result]:
     """Write results and figures of a completed run; returns the figure's path and what the
-    seeds came to."""
-    history, result = run.history(), run.conclude()
+    seeds came to.  show: see `conclude.conclude`."""
+    history, result = run.history(), run.conclude(show)
     figure = folder / "fig5.png"
     if not hosts.is_first():
         return figure, result

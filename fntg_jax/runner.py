@@ -17,7 +17,7 @@ import numpy as np
 from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 
-from fntg_jax import conclude, ga, genome, hosts, memory, xla
+from fntg_jax import conclude, ga, genome, hosts, memory
 from fntg_jax.layout import get_layout
 from fntg_jax.objective import Static, Traced, draw_scenes, score
 from fntg_jax.parallel import GENOME, make_mesh, over_seeds
@@ -198,31 +198,22 @@ class Run:
         nothing = History(none, none, none.astype(np.int32), np.zeros((*none.shape, length), bool))
         return History(*(np.concatenate(x, axis=1) for x in zip(nothing, *self.records)))
 
-    def conclude(self) -> "Result":
+    def conclude(self, show: Callable[[int, int, float], None] = lambda *_: None) -> "Result":
         """The controller of each seed: see `Result`.  The same answer however often it is asked,
-        also of a resumed run."""
+        also of a resumed run.  show: see `conclude.conclude`."""
         if self.config.scene_pool == 0 and self.config.refine_steps == 0:
             bits = hosts.gather(self.state.best_bits)[: self.num_rows]
             theta = np.asarray(self._decode(bits))
             return Result(theta, hosts.gather(self.state.best_fitness)[: len(bits)], bits, None)
-        static = self.config_static()
-        suite = get_suite(self.world, self.config.suite)
-        key = jax.random.key(_POOL_KEY + 1)
-        validation = self._place(suite(key, _VALIDATION), P()) if static.fresh else self.scenes
-        descends = self.config.refine_steps > 0 and self.config.refine_method == "gradient"
-        choose = jax.jit(
-            partial(conclude.choose, config=self.config, static=static, mesh=self.mesh),
-            compiler_options=xla.GRADIENT_OPTIONS if descends else None,
-        )
-        theta, value, row, refined = choose(self.state, self.floats, self.scenes, validation)
-        num = self.num_rows
-        bits = np.take_along_axis(
-            hosts.gather(self.state.bits), hosts.gather(row)[:, None, None], axis=1
-        )[:num, 0]
-        theta, value = hosts.gather(theta)[:num], hosts.gather(value)[:num]
-        if refined is None:
-            return Result(theta, value, bits, None)
-        return Result(theta, value, None, hosts.gather(refined)[:num])
+        validation = self.scenes
+        if self.config.scene_pool:
+            suite = get_suite(self.world, self.config.suite)
+            validation = self._place(suite(jax.random.key(_POOL_KEY + 1), _VALIDATION), P())
+        theta, value, row, refined = conclude.conclude(self, validation, show)
+        if refined is not None:
+            return Result(theta, value, None, refined)
+        bits = hosts.gather(self.state.bits)[np.arange(self.num_rows), row]
+        return Result(theta, value, bits, None)
 
     def _decode(self, bits):
         return genome.decode(bits, self.config.ga.num_bits, self.config.ga.gray)

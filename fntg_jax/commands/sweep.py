@@ -10,7 +10,7 @@ import tyro
 
 from fntg_jax import xla
 from fntg_jax.cli import say
-from fntg_jax.commands.train import parse_over_preset, progress_bar
+from fntg_jax.commands.train import generation_bar, parse_over_preset
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,7 +59,7 @@ def main(argv: list[str]) -> None:
     except OSError as error:
         raise ValueError(f"out = {folder}: {error.strerror or error}") from None
     start = time.perf_counter()
-    table = sweep.run(options.config, settings, options.suites, options.scenes, say, progress_bar)
+    table = sweep.run(options.config, settings, options.suites, options.scenes, say, generation_bar)
     say(f"{time.perf_counter() - start:.1f} s")
     try:
         sweep_report.write_csv(table, options.config.first_seed, folder / "sweep.csv")

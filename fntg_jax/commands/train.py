@@ -106,9 +106,12 @@ def _train(folder: Path, resumed: bool) -> None:
         _learn(run, folder)
     try:
         if config.scene_pool or config.refine_steps:
-            what = f", {config.refine_steps} steps of refinement" if config.refine_steps else ""
+            what = ", then refining them" if config.refine_steps else ""
             say(f"choosing the controllers on validation scenes{what} ...")
-        figure, result = runfolder.finish(folder, run)
+        with progress_bar("refinement step") as show:
+            figure, result = runfolder.finish(
+                folder, run, lambda done, total, best: show(done, total, f"best {best:.4g}")
+            )
     except OSError as error:
         raise ValueError(f"{folder}: {error.strerror or error}") from None
     spread = f", median over seeds {np.median(result.fitness):.4g}" if config.seeds > 1 else ""
@@ -163,7 +166,7 @@ def _learn(run: Any, folder: Path) -> None:
         say(f"tracing and compiling took {run.compile():.1f} s")
         if run.memory_bytes > 1e9:
             say(f"this takes about {run.memory_bytes / 1e9:.1f} GB of memory")
-        with progress_bar(run) as show:
+        with generation_bar(run) as show:
             saved = time.monotonic()
             stop = 0
             while not run.done and not stop:
@@ -192,17 +195,17 @@ _STOP = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextlib.contextmanager
-def progress_bar(run: Any):
-    """A callable that shows a `runner.Progress`: a bar on a terminal; otherwise the first
-    generation and ten lines."""
-    total = run.config.generations
+def progress_bar(what: str, start: int = 0, total: int | None = None):
+    """A callable (done, total, words) that shows how far something is: a bar on a terminal;
+    otherwise the first step and ten lines."""
     if not sys.stderr.isatty():
-        shown = [-1]
+        shown = -1
 
-        def line(p):
-            if p.generation * 10 // total > shown[0]:
-                shown[0] = p.generation * 10 // total
-                say(f"generation {p.generation}/{total}  {_words(p)}")
+        def line(done, total, words):
+            nonlocal shown
+            if done * 10 // total > shown:
+                shown = done * 10 // total
+                say(f"{what} {done}/{total}  {words}")
 
         yield line
         return
@@ -210,14 +213,25 @@ def progress_bar(run: Any):
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (
-        TextColumn("generation {task.completed}/{task.total}"),
+        TextColumn(what + " {task.completed}/{task.total}"),
         BarColumn(),
         TextColumn("{task.fields[words]}"),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task("", total=total, completed=run.generation, words="")
-        yield lambda p: progress.update(task, completed=p.generation, words=_words(p))
+        task = progress.add_task("", total=total, completed=start, words="", visible=bool(total))
+
+        def move(done, total, words):
+            progress.update(task, completed=done, total=total, words=words, visible=True)
+
+        yield move
+
+
+@contextlib.contextmanager
+def generation_bar(run: Any):
+    """A callable that shows a `runner.Progress`."""
+    with progress_bar("generation", run.generation, run.config.generations) as show:
+        yield lambda p: show(p.generation, p.generations, _words(p))
 
 
 def _words(p: Any) -> str:
