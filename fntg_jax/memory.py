@@ -1,5 +1,6 @@
 """What a compiled program will need, against what there is: known before it runs."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,12 @@ def check(compiled: Any, num_devices: int = 1) -> int:
             "take fewer genomes, scenes or seeds"
         )
     return need
+
+
+def announce(num_bytes: int, say: Callable[[str], None]) -> None:
+    """Say what a program needs where it is much, more than 1 GB."""
+    if num_bytes > 1e9:
+        say(f"this takes about {num_bytes / 1e9:.1f} GB of memory")
 
 
 def available() -> int | None:

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fntg_jax import fitness
+from fntg_jax import fitness, memory
 from fntg_jax.evaluation import held_out_scenes
 from fntg_jax.layout import get_layout
 from fntg_jax.parallel import over_seeds
@@ -157,7 +157,7 @@ def run(
     for number, group in enumerate(groups):
         word = ", ".join(f"{k} {v}" for k, v in _common(settings, group).items())
         say(f"program {number + 1} of {len(groups)}{word and ': '}{word}: compiling ...")
-        _run_group(configs, group, table, num_scenes, progress)
+        _run_group(configs, group, table, num_scenes, say, progress)
     return table
 
 
@@ -182,6 +182,7 @@ def _run_group(
     group: list[int],
     table: Table,
     num_scenes: int,
+    say: Callable[[str], None],
     progress: Callable[[Run], Any],
 ) -> None:
     first = configs[group[0]]
@@ -189,6 +190,8 @@ def _run_group(
     genome = get_layout(first.layout).num_genes * first.ga.num_bits
     row_bytes = 2 * (first.ga.population + first.generations) * genome
     size = max(1, min(len(group), _BATCH_BYTES // (row_bytes * first.seeds)))
+    if size < len(group):
+        say(f"{-(-len(group) // size)} batches of {size} settings, to bound memory")
     learner: Run | None = None
     for start in range(0, len(group), size):
         batch = group[start : start + size]
@@ -197,6 +200,7 @@ def _run_group(
         if learner is None:
             learner = Run(first, variants)
             learner.compile()
+            memory.announce(learner.memory_bytes, say)
         else:
             learner.restart(variants)
         with progress(learner) as show:

@@ -61,7 +61,9 @@ def test_batches_change_nothing(swept, monkeypatch):
     table, _ = swept
     row = 2 * (TINY.ga.population + TINY.generations) * 31 * 15
     monkeypatch.setattr(sweep, "_BATCH_BYTES", 3 * row * TINY.seeds)
-    again = sweep.run(TINY, table.settings)
+    said = []
+    again = sweep.run(TINY, table.settings, say=said.append)
+    assert any("batches of 3 settings" in line for line in said)
     np.testing.assert_array_equal(again.best, table.best)
     np.testing.assert_array_equal(again.theta, table.theta)
 

@@ -157,15 +157,14 @@ _CHECKPOINT_SECONDS = 2.0
 
 def _learn(run: Any, folder: Path) -> None:
     """Advance a run to its end, with progress on stderr, leaving a checkpoint when stopped."""
-    from fntg_jax import hosts, runfolder
+    from fntg_jax import hosts, memory, runfolder
 
     wanted: list[int] = []
     handlers = {s: signal.signal(s, lambda n, _: wanted.append(n)) for s in _STOP}
     try:
         say("tracing and compiling ...")
         say(f"tracing and compiling took {run.compile():.1f} s")
-        if run.memory_bytes > 1e9:
-            say(f"this takes about {run.memory_bytes / 1e9:.1f} GB of memory")
+        memory.announce(run.memory_bytes, say)
         with generation_bar(run) as show:
             saved = time.monotonic()
             stop = 0
