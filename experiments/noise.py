@@ -72,7 +72,9 @@ class Options:
     seeds: int = 4
     """controllers trained in each set; 0: the shipped controller alone."""
     generations: int = 100
-    """of the preset robust; its refinement comes on top."""
+    """of the preset robust (which has 200)."""
+    refine_steps: int = 400
+    """of its refinement (which has 1200)."""
     population: int = 512
     """genomes."""
     scenes: int = 1000
@@ -93,6 +95,7 @@ def train(options: Options, env_options: dict[str, float]) -> Any:
         robust,
         seeds=options.seeds,
         generations=options.generations,
+        refine_steps=options.refine_steps,
         env_options=env_options,
         ga=dataclasses.replace(robust.ga, population=options.population),
     )
@@ -101,7 +104,7 @@ def train(options: Options, env_options: dict[str, float]) -> Any:
 
 def run(options: Options) -> Results:
     """Train, then judge every controller under every disturbance.  Raises ValueError."""
-    script.check_least(options, seeds=0, generations=1, scenes=1)
+    script.check_least(options, seeds=0, generations=1, refine_steps=0, scenes=1)
     shipped = fntg_jax.load(fntg_jax.shipped("bioa"))
     thetas = [jnp.asarray(shipped.theta, jnp.float32)[None]]
     sets = {"shipped (bioa)": [0]}

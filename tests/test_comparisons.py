@@ -72,7 +72,7 @@ def test_every_reading_but_the_default_differs():
 def test_noise(tmp_path, monkeypatch):
     few = tuple(d for d in noise.DISTURBANCES if d.option in ("dropout", "latency"))
     monkeypatch.setattr(noise, "DISTURBANCES", few)
-    options = noise.Options(seeds=1, generations=1, population=16, scenes=50)
+    options = noise.Options(seeds=1, generations=1, refine_steps=1, population=32, scenes=50)
     results = noise.run(options)
     shipped = results.success[:, :, 0].mean(axis=-1)
     assert np.all(shipped[:, 0] > 0.8) and np.all(shipped[:, -1] < shipped[:, 0])
