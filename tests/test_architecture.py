@@ -60,5 +60,16 @@ def test_the_environment_variables_of_xla_are_the_users(python):
     assert python(code).strip() == "None"
 
 
+def test_flags_can_be_left_out_with_several_devices(python):
+    code = """
+import os
+from fntg_jax import xla
+xla.configure(num_cpu_devices=2)
+import jax
+print(os.environ.get("XLA_FLAGS"), len(jax.devices()))
+"""
+    assert python(code, FNTG_XLA_FLAGS="off").split() == ["None", "2"]
+
+
 def test_no_drawer_for_everything():
     assert not [p for package in ("fntg_jax", "envs") for p in (ROOT / package).rglob("util*.py")]
