@@ -269,7 +269,7 @@ def plot(rows: list[Row], path: Path) -> Path:
                 f"{value:.1f}", (at, top), (0, 4), textcoords="offset points", ha="center",
                 fontsize=7, color=colours[name],
             )  # fmt: skip
-    panel.set_xticks(np.arange(len(suites())), suites())
+    panel.set_xticks(np.arange(len(suites())), [s.replace("-", "-\n") for s in suites()])
     panel.set_ylim(-2, 109)
     panel.set_ylabel("success on unseen scenes, %")
     panel.set_title("dots: seeds; bars: medians with 95 % intervals", fontsize=9, loc="left")
