@@ -76,8 +76,10 @@ def ours(job: Job) -> Run:
             return np.median(run.state.best_fitness)
 
         return learn
+    # As NumPy: the run's arrays lie on a mesh of its own.
+    traced, scenes = jax.tree.map(np.asarray, (run.traced(), run.scenes))
     score = jax.shard_map(
-        lambda theta: objective.score(run.config_static(), run.traced(), theta, run.scenes),
+        lambda theta: objective.score(run.config_static(), traced, theta, scenes),
         mesh=Mesh(np.asarray(jax.local_devices()), ("genome",)),
         in_specs=P("genome"),
         out_specs=P("genome"),
