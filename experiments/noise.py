@@ -4,10 +4,10 @@
 
 Seven disturbances, one at a time: noise of angles and of ranges, latency, lost frames, a camera
 that sees ahead only, a body slower than commanded, slip.  Controllers: the shipped one, and two
-sets of the same budget (option generations), one trained without any disturbance and one with all
-of `TRAINED_WITH` at once.  Lines are medians over seeds, bands go from the worst seed to the best.
-Success is the mean over unseen scenes of the suites open and blocked.  Writes noise.csv (one row a
-controller, disturbance, level and suite), noise.png and .pdf.
+sets of the same budget (options generations and refine_steps), one trained without any
+disturbance and one with all of `TRAINED_WITH` at once.  Lines are medians over seeds, bands go from
+the worst seed to the best.  Success is the mean over unseen scenes of the suites open and blocked.
+Writes noise.csv (one row a controller, disturbance, level and suite), noise.png and .pdf.
 """
 
 import dataclasses

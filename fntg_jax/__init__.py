@@ -42,10 +42,11 @@ def train(preset: str = "paper", out: str | Path | None = None, **options: Any) 
     if out is not None:
         runfolder.create(Path(out), run.config)
     runner.complete(run)
+    result = None
     if out is not None:
         runfolder.save_checkpoint(Path(out), run)
-        runfolder.finish(Path(out), run)
-    return runfolder.controller(run)
+        _, result = runfolder.finish(Path(out), run)
+    return runfolder.controller(run, result=result)
 
 
 def evaluate(
@@ -64,7 +65,7 @@ def evaluate(
 
 def shipped(name: str) -> Path:
     """Path of a controller that comes with the package: "bioa", trained by
-    `fntg train --preset robust --seeds 4`."""
+    `fntg train --preset robust --seeds 10`."""
     return Path(__file__).parent / "data" / f"{name}.json"
 
 

@@ -18,7 +18,7 @@ import tyro
 
 COMMANDS = {
     "train": "learn controllers and write a run folder",
-    "refine": "improve a controller by gradient descent on its genes",
+    "refine": "improve a controller, along gradients or by CMA-ES",
     "sweep": "learn over a grid of settings and seeds, and compare them",
     "evaluate": "success of a controller on suites of unseen scenes",
     "rules": "the rule base in plain words, with how often each rule fires",

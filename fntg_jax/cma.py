@@ -79,10 +79,9 @@ def adapt(
         return advance(key, course, costs_fn, draw, validation, num, population)
 
     first = costs_fn(inside(theta)[None], validation)[0]
-    course, history = jax.lax.scan(
-        round_, begin(theta, first, sigma), jnp.arange(-(-num_steps // validate_every))
-    )
-    history = jnp.concatenate([first[None], history])
+    start = begin(theta, first, sigma)
+    course, history = jax.lax.scan(round_, start, jnp.arange(-(-num_steps // validate_every)))
+    history = jnp.concatenate([start.cost[None], history])
     return Adapted(course.theta, course.cost, history, course.num_skipped)
 
 

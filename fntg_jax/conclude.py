@@ -18,8 +18,8 @@ _VALIDATE_EVERY = 20  # steps of covariance adaptation
 
 
 class Chosen(NamedTuple):
-    """theta: [S, genes]; fitness: [S], on the validation scenes; row: [S], of the last population,
-    that theta is or was refined from; refined: [S, n] fitness in the course of the refinement, or
+    """theta: [S, genes]; fitness: [S], on the validation scenes; row: [S], of the best of the last
+    population before refinement; refined: [S, n] fitness in the course of the refinement, or
     None."""
 
     theta: np.ndarray
@@ -36,10 +36,12 @@ def conclude(run: Any, validation: Any, show: Callable[[int, int, float], None])
     """
     config, num = run.config, run.num_rows
     choose = jax.jit(partial(_choose, config=config, static=run.config_static(), mesh=run.mesh))
-    found = choose(run.state, run.floats, run.scenes, validation)
+    arguments = run.state, run.floats, run.scenes, validation
+    found = _compiled(run, choose, arguments)(*arguments)
     theta, value, row = (hosts.gather(x)[:num] for x in found)
     if config.refine_steps == 0:
-        return Chosen(theta[:, 0], value[:, 0], row, None)
+        fitness = np.where(np.isfinite(value), value, 0)  # what is not finite counts as 0
+        return Chosen(theta[:, 0], fitness[:, 0], row, None)
     refine = {"gradient": _gradient, "cma": _cma}[config.refine_method]
     theta, cost, history = refine(run, theta, 10 / value, validation, show)
     return Chosen(theta, 10 / cost, row, 10 / history)
@@ -47,7 +49,7 @@ def conclude(run: Any, validation: Any, show: Callable[[int, int, float], None])
 
 def _choose(state, floats, scenes, validation, *, config, static, mesh):
     """The best `refine_top` of the last population: theta [S, n, genes] and validated fitness
-    [S, n], best first; row of the population the first comes from [S]."""
+    [S, n], the leaders of the islands first, from the best on; row of the first [S]."""
 
     def one_seed(shared, bits, seed_floats):
         scenes, validation = shared
@@ -59,7 +61,7 @@ def _choose(state, floats, scenes, validation, *, config, static, mesh):
         islands = config.ga.num_islands
         by_island = _best_first(first_look.reshape(islands, -1))
         size = theta.shape[0] // islands
-        most = min(size, max(1, _FINALISTS // islands))
+        most = min(size, -(-_FINALISTS // islands))
         rows = (by_island[:, :most] + size * jnp.arange(islands)[:, None]).ravel()
         value = score(static, traced, theta[rows], validation, axis=GENOME)
         # Refinement starts from different islands as long as there are some.
@@ -68,6 +70,13 @@ def _choose(state, floats, scenes, validation, *, config, static, mesh):
         return theta[rows[leaders]], value[leaders], rows[leaders[0]]
 
     return over_seeds(one_seed, mesh)((scenes, validation), (state.bits, floats))
+
+
+def _compiled(run, program, arguments):
+    """A jitted function compiled for these arguments, where memory will do."""
+    compiled = program.lower(*arguments).compile()
+    memory.check(compiled, len(run.mesh.local_devices))
+    return compiled
 
 
 def _best_first(value):
@@ -106,7 +115,8 @@ def _gradient(run, theta, cost, validation, show):
 
     program = jax.jit(over_seeds(one_seed, run.mesh), compiler_options=xla.GRADIENT_OPTIONS)
     rows = (run.state.key, run.floats, run.place_rows(theta))
-    found = program((run.scenes, validation), rows)
+    arguments = (run.scenes, validation), rows
+    found = _compiled(run, program, arguments)(*arguments)
     theta, cost, history = (hosts.gather(x)[: run.num_rows] for x in found[:3])
     show(config.refine_steps, config.refine_steps, float(np.median(10 / cost)))
     return theta, cost, history
@@ -136,12 +146,13 @@ def _cma(run, theta, cost, validation, show):
     advance = jax.jit(over_seeds(one_seed, run.mesh))
     wide, fine = -(-config.refine_steps // 2), config.refine_steps
     done, wanted = 0, theta.shape[1] * wide + fine
+    least = np.full(num, np.inf)
 
     def search(theta, cost, stage, sigma, num_steps):
-        nonlocal advance, done
+        nonlocal advance, done, least
         start = (theta, cost, np.full(num, sigma, np.float32))
         course = run.place_rows(start, lambda rows: jax.vmap(cma.begin)(*rows))
-        history = [cost]
+        history = [np.where(np.isfinite(cost), cost, np.inf)]
         for first in range(0, num_steps, _VALIDATE_EVERY):
             length = min(_VALIDATE_EVERY, num_steps - first)
             arguments = (
@@ -149,13 +160,14 @@ def _cma(run, theta, cost, validation, show):
                 (run.state.key, run.floats, course),
             )
             if done == 0:
-                advance = advance.lower(*arguments).compile()
-                memory.check(advance, len(run.mesh.local_devices))
+                advance = _compiled(run, advance, arguments)
             course, newest = advance(*arguments)
             history.append(hosts.gather(newest)[:num])
             done += length
-            show(done, wanted, float(np.median(10 / hosts.gather(course.cost)[:num])))
+            reached = np.fmin(least, hosts.gather(course.cost)[:num])
+            show(done, wanted, float(np.median(10 / reached)))
         theta, cost = (hosts.gather(x)[:num] for x in (course.theta, course.cost))
+        least = np.fmin(least, cost)
         return theta, cost, np.stack(history, axis=1)
 
     tried = [search(theta[:, n], cost[:, n], 0, 0.5, wide) for n in range(theta.shape[1])]

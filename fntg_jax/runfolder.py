@@ -178,8 +178,9 @@ def controller(
     result: of `run.conclude()`, where the caller has it already.
     """
     config = run.config
+    row = None if seed is None else _row(config, seed)
     result = run.conclude() if result is None else result
-    index = int(np.argmax(result.fitness)) if seed is None else _row(config, seed)
+    index = int(np.argmax(result.fitness)) if row is None else row
     best, bits = float(result.fitness[index]), None
     if result.bits is not None:
         bits = "".join("1" if b else "0" for b in result.bits[index])

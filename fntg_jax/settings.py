@@ -40,7 +40,7 @@ class TrainConfig:
         ga: genetic algorithm.
         refine_steps: steps of refinement after evolution; 0 for none.
         refine_method: "gradient": reverse mode and Adam; "cma": covariance matrix adaptation.
-        refine_scenes: scenes of a step; 0 for num_scenes.
+        refine_scenes: scenes of a step, where scenes are fresh; 0 for num_scenes.
         refine_rate: learning rate of the gradient (Adam, cosine decay), genes a step.
         refine_top: individuals of a seed that are refined; the best validated one is kept.
         fitness: weights of the paper's fitness.

@@ -35,9 +35,8 @@ def configure(num_cpu_devices: int = 1) -> None:
         os.environ["XLA_FLAGS"] = " ".join([flags, *missing]).strip()
     import jax
 
-    if (
-        num_cpu_devices > 1
-        and "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", "")
+    if num_cpu_devices > 1 and "xla_force_host_platform_device_count" not in os.environ.get(
+        "XLA_FLAGS", ""
     ):
         jax.config.update("jax_num_cpu_devices", num_cpu_devices)
     if os.environ.get("FNTG_CACHE") != "off" and "JAX_COMPILATION_CACHE_DIR" not in os.environ:

@@ -10,21 +10,24 @@ import dataclasses, hashlib, json
 from fntg_jax import xla
 xla.configure(num_cpu_devices=4)
 import jax
-from fntg_jax import runner, settings
+from fntg_jax import conclude as choice, runner, settings
 
 def spread(seeds, counts, conclude):
     config = settings.PRESETS["robust"]
     config = dataclasses.replace(
         config, seeds=seeds, generations=2, num_scenes=32, scene_pool=64,
+        refine_steps=3, refine_scenes=32,
         ga=dataclasses.replace(config.ga, population=48),
     )
-    runner._VALIDATION, runner._SCREENING = 96, 64
+    runner._VALIDATION, choice._SCREENING = 96, 64
     devices = jax.devices()
     found = []
     for num in counts:
         jax.devices = lambda: devices[:num]
         run = runner.train(config)
-        arrays = (*run.history(), *(run.conclude()[:3] if conclude else ()))
+        result = run.conclude() if conclude else None
+        refined = (result.theta, result.fitness, result.refined) if conclude else ()
+        arrays = (*run.history(), *refined)
         digest = hashlib.sha256(b"".join(a.tobytes() for a in arrays)).hexdigest()
         found.append((tuple(run.mesh.shape.values()), digest))
     print(json.dumps(found))

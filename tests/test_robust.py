@@ -6,6 +6,7 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from fntg_jax import fitness, ga, genome, objective, runner, settings
 from fntg_jax.fitness import SmoothWeights
@@ -111,24 +112,45 @@ def test_the_final_controller_is_the_best_of_its_population_on_validation_scenes
         np.testing.assert_allclose(result.theta[n], theta[scores.argmax()], atol=1e-6)
 
 
-def test_covariance_adaptation_continues_from_the_best_of_the_population(monkeypatch):
-    monkeypatch.setattr(runner, "_VALIDATION", 64)
+def barely_evolved(**options):
+    """The preset robust at a tiny budget."""
     robust = settings.PRESETS["robust"]
-    config = dataclasses.replace(
+    return dataclasses.replace(
         robust,
         ga=dataclasses.replace(robust.ga, population=32),
         generations=2,
         num_scenes=4,
         scene_pool=64,
-        refine_steps=30,
-        refine_scenes=8,
+        refine_scenes=16,
+        **options,
     )
+
+
+def test_covariance_adaptation_continues_from_the_best_of_the_population(monkeypatch):
+    monkeypatch.setattr(runner, "_VALIDATION", 64)
+    config = barely_evolved(seeds=2, refine_steps=60)
+    plain = runner.train(dataclasses.replace(config, refine_steps=0)).conclude()
+    shown = []
+    result = runner.train(config).conclude(lambda *progress: shown.append(progress))
+    assert [done for done, _, _ in shown][-3:] == [110, 130, 150]
+    assert {total for _, total, _ in shown} == {150}
+    best = [best for _, _, best in shown]
+    assert best == sorted(best) and best[-1] == pytest.approx(np.median(result.fitness))
+    # The start, two validations of the 30 wide steps, three of the 60 fine ones.
+    assert result.refined.shape == (2, 6)
+    # The course is that of the island which wins; it need not have led before.
+    assert (result.refined[:, 0] <= plain.fitness * (1 + 1e-4)).all()
+    np.testing.assert_array_equal(result.fitness, result.refined.max(axis=1))
+    assert (result.fitness > plain.fitness).all()
+    assert (abs(result.theta) <= 5).all() and result.bits is None
+
+
+@pytest.mark.slow
+def test_gradients_continue_from_the_best_of_the_population(monkeypatch):
+    monkeypatch.setattr(runner, "_VALIDATION", 64)
+    config = barely_evolved(refine_method="gradient", refine_steps=20, refine_rate=0.01)
     plain = runner.train(dataclasses.replace(config, refine_steps=0)).conclude()
     result = runner.train(config).conclude()
-    # The start, one validation of the 15 wide steps, two of the 30 fine ones.
-    assert result.refined.shape == (1, 4)
-    # The course is that of the island which wins; it need not have led before.
-    assert result.refined[0, 0] <= plain.fitness[0] * (1 + 1e-4)
-    assert result.fitness[0] == result.refined[0].max()
-    assert result.fitness[0] >= plain.fitness[0] * (1 - 1e-4)
-    assert (abs(result.theta) <= 5).all() and result.bits is None
+    assert result.refined.shape == (1, 3)  # the start, and a validation after each 10 steps
+    assert result.fitness[0] == pytest.approx(result.refined[0].max(), rel=1e-5)
+    assert result.fitness[0] > plain.fitness[0]

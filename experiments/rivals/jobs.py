@@ -76,8 +76,9 @@ def ours(job: Job) -> Run:
             return np.median(run.state.best_fitness)
 
         return learn
-    # As NumPy: the run's arrays lie on a mesh of its own.
-    traced, scenes = jax.tree.map(np.asarray, (run.traced(), run.scenes))
+    # Copied: the run's arrays lie on a mesh of its own.
+    copied = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)), (run.traced(), run.scenes))
+    traced, scenes = copied
     score = jax.shard_map(
         lambda theta: objective.score(run.config_static(), traced, theta, scenes),
         mesh=Mesh(np.asarray(jax.local_devices()), ("genome",)),

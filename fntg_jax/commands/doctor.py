@@ -52,7 +52,9 @@ def packages() -> list[tuple]:
             installed = None
         name, tested = requirement.name, requirement.specifier
         if name in found:  # asked for by another extra, too
-            tested, extra = found[name][1] & tested, f"{found[name][3]}, {extra}"
+            before = found[name][3]
+            extra = f"{before}, {extra}" if before and extra else ""
+            tested = found[name][1] & tested
         found[name] = (name, tested, installed, extra)
     return list(found.values())
 

@@ -38,7 +38,7 @@ class RefineOptions:
     seed: int = 0
     """seed of these scenes."""
     env: str = "kinematic"
-    """world, by its entry point name; it must have a gradient."""
+    """world, by its entry point name; for --method gradient one that has a gradient."""
     env_options: dict[str, float] = dataclasses.field(default_factory=dict)
     """options of that world by name, over the controller's own limits and control step."""
 
@@ -117,7 +117,7 @@ def _refined(controller: Any, refined: Any, options: RefineOptions) -> Any:
     import numpy as np
 
     provenance = {
-        **controller.provenance,
+        **{k: v for k, v in controller.provenance.items() if not k.startswith("refine_")},
         "env": options.env,
         "objective": "smooth",
         "fitness": 10 / (0.1 + float(refined.cost)),  # as `fitness.smooth_fitness`
