@@ -14,8 +14,10 @@ networks go faster without our XLA flags: run those methods first, with FNTG_XLA
 --methods.  Writes optimizers.csv (one row a checkpoint), optimizers.md, optimizers.png and .pdf.
 """
 
+import contextlib
 import csv
 import dataclasses
+import io
 import sys
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -82,7 +84,8 @@ def run(options: Options) -> tuple[list[Row], list[str]]:
     task = Task(eval_scenes=options.eval_scenes)
     try:
         phases = optimizers_fntg.searches()
-        import brax  # noqa: F401
+        with contextlib.redirect_stdout(io.StringIO()):  # "Failed to import warp"
+            import brax.envs  # noqa: F401
     except ModuleNotFoundError as error:
         raise ValueError(f"needs {error.name}: pip install 'fntg-jax[compare]'") from None
     left_out = []
