@@ -86,9 +86,7 @@ def frames(
     data = mujoco.MjData(model)
     renderer = _renderer(model, height, width)
     camera = mujoco.MjvCamera()
-    # From above obstacles, and outwards from the field's middle: so little hides the dog.
-    camera.distance, camera.elevation = 1.1, -42
-    camera.azimuth = 120 if qpos[:, 1].mean() > 0 else -60
+    camera.distance, camera.elevation, camera.azimuth = _camera(qpos)
     pictures = []
     try:
         for n in range(len(qpos)):
@@ -132,6 +130,12 @@ def _need_display() -> None:
         )
 
 
+def _camera(qpos: np.ndarray) -> tuple[float, float, float]:
+    """Distance in m, elevation and azimuth in degrees, from the dog: from above obstacles, and
+    outwards from the field's middle, so that little hides the dog."""
+    return 1.1, -42.0, 120.0 if qpos[:, 1].mean() > 0 else -60.0
+
+
 def view(qpos: np.ndarray, obstacles: np.ndarray, dt: float) -> None:
     """Play a trial in MuJoCo's own viewer, over and over, until its window is closed.
 
@@ -142,7 +146,12 @@ def view(qpos: np.ndarray, obstacles: np.ndarray, dt: float) -> None:
 
     model = scene_model(obstacles[0])
     data = mujoco.MjData(model)
-    with mujoco.viewer.launch_passive(model, data) as window:
+    panels = {"show_left_ui": False, "show_right_ui": False}
+    with mujoco.viewer.launch_passive(model, data, **panels) as window:
+        # It follows the dog, and the mouse turns it.
+        window.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
+        window.cam.trackbodyid = model.body("trunk").id
+        window.cam.distance, window.cam.elevation, window.cam.azimuth = _camera(qpos)
         n = 0
         while window.is_running():
             place(model, data, qpos[n], obstacles[n])
