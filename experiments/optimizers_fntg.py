@@ -266,8 +266,8 @@ def _blocks(phases: Any, task: Task, budget: int, checkpoints: int) -> Iterator[
         each = search.steps(task.num_scenes)
         iterations = max(1, round(share * budget / each))
         most = min(iterations, max(1, round(checkpoints * share)))
-        # Blocks are of one length; as many as leave no more than 5 % of the budget unspent.
-        num = max(n for n in range(1, most + 1) if n * (iterations // n) >= 0.95 * iterations)
+        # Blocks are of one length; as many as leave no more than a tenth of the budget unspent.
+        num = max(n for n in range(1, most + 1) if n * (iterations // n) >= 0.9 * iterations)
         yield search, num, iterations // num, each
 
 
