@@ -42,3 +42,11 @@ def test_exit_status(monkeypatch, capsys, requirement, code, word):
     found, text = run(capsys)
     assert found == code
     assert word in text
+
+
+def test_several_asking_for_one_package_are_one_line(monkeypatch):
+    wanted = ['a>=1; extra == "x"', 'a<9; extra == "y"', "b>=1", 'b>=2; extra == "x"']
+    monkeypatch.setattr(metadata, "requires", lambda name: wanted)
+    found = {name: (str(tested), extra) for name, tested, _, extra in doctor.packages()}
+    # What is required stays so when an extra asks for it, too.
+    assert found == {"a": ("<9,>=1", "x, y"), "b": (">=1,>=2", "")}
