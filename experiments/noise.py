@@ -114,15 +114,16 @@ def run(options: Options) -> Results:
             first = sum(len(t) for t in thetas)
             thetas.append(train(options, env_options))
             sets[name] = list(range(first, first + options.seeds))
-    # All layouts are the shipped controller's: one batch.
-    assert shipped.layout == get_layout("paper-31") and shipped.output == "scale"
+    # All controllers are read like the shipped one: one batch.
+    robust = settings.PRESETS["robust"]
+    assert (shipped.layout, shipped.output) == (get_layout(robust.layout), robust.output)
     theta = jnp.concatenate(thetas)
     world = settings.get_world("kinematic")
     scenes = [evaluation.held_out_scenes(world, suite, options.scenes) for suite in SUITES]
 
     @jax.jit
     def judge(theta, scenes, env):
-        outcome = rollout_pairs(shipped.layout, theta, scenes, env)
+        outcome = rollout_pairs(shipped.layout, theta, scenes, env, output=shipped.output)
         return jnp.mean(fitness.success(outcome).success, axis=1)
 
     make = partial(evaluation.environment_for, shipped, world)

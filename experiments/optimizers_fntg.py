@@ -124,7 +124,7 @@ def genetic(config: ga.GAConfig, ranges: Any = None) -> Search:
         return ga.init(key, _GENES, config, ranges)
 
     def iterate(key, state, progress, iterations, cost_fn, draw):
-        del key, progress  # it draws its own, and decay and merge go by generation / horizon
+        del key, progress  # it draws its own, and decay goes by generation / horizon
 
         def fitness_fn(key, theta, progress):
             return 10 / (0.1 + cost_fn(theta, draw(key), progress))

@@ -19,6 +19,12 @@ from fntg_jax.layout import HIGH, LOW
 # (theta [P, genes], scenes) -> mean cost [P].
 CostsFn = Callable[[Float[Array, "P genes"], Any], Float[Array, " P"]]
 
+# Samples a step, and first step size in genes, of a search that leaves local optima.  From the same
+# ten GA results, 64 scenes a step, success with the way blocked of the worst: 1200 steps of 48
+# samples 97.7 %, 600 of 96 (as many roll-outs) 99.1 %, 600 of 192 99.4 %.
+POPULATION = 192
+SIGMA = 0.5
+
 # Cost of a squared gene outside of the bounds, where a sample is judged on the bound.
 _OUTSIDE = 0.05
 
@@ -62,8 +68,8 @@ def adapt(
     draw: Callable[[Key[Array, ""]], Any],
     validation: Any,
     num_steps: int,
-    sigma: float = 0.2,
-    population: int = 48,
+    sigma: float = SIGMA,
+    population: int = POPULATION,
     validate_every: int = 20,
 ) -> Adapted:
     """Search around theta for num_steps samplings; the best validated mean is returned, so that
@@ -85,7 +91,7 @@ def adapt(
     return Adapted(course.theta, course.cost, history, course.num_skipped)
 
 
-def begin(theta: Float[Array, " genes"], cost: Float[Array, ""], sigma: float) -> Course:
+def begin(theta: Float[Array, " genes"], cost: Float[Array, ""], sigma: float = SIGMA) -> Course:
     """Before the first step from theta; cost: that of theta on the validation scenes."""
     cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
     zero = jnp.zeros((), int)
@@ -99,7 +105,7 @@ def advance(
     draw: Callable[[Key[Array, ""]], Any],
     validation: Any,
     num_steps: int | Int[Array, ""],
-    population: int = 48,
+    population: int = POPULATION,
 ) -> tuple[Course, Float[Array, ""]]:
     """num_steps more samplings, then the mean is validated: the course and that cost.  Arguments
     as of `adapt`; in parts or in one go, the same key gives the same samples."""

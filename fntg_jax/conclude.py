@@ -28,13 +28,13 @@ class Chosen(NamedTuple):
     refined: np.ndarray | None
 
 
-def conclude(run: Any, validation: Any, show: Callable[[int, int, float], None]) -> Chosen:
+def conclude(run: Any, show: Callable[[int, int, float], None]) -> Chosen:
     """Choose and refine, for every seed of a `runner.Run`.
 
     show: called with the steps of refinement done and wanted, and the best fitness so far (median
     over seeds).
     """
-    config, num = run.config, run.num_rows
+    config, num, validation = run.config, run.num_rows, run.validation
     choose = jax.jit(partial(_choose, config=config, static=run.config_static(), mesh=run.mesh))
     arguments = run.state, run.floats, run.scenes, validation
     found = _compiled(run, choose, arguments)(*arguments)
@@ -43,7 +43,7 @@ def conclude(run: Any, validation: Any, show: Callable[[int, int, float], None])
         fitness = np.where(np.isfinite(value), value, 0)  # what is not finite counts as 0
         return Chosen(theta[:, 0], fitness[:, 0], row, None)
     refine = {"gradient": _gradient, "cma": _cma}[config.refine_method]
-    theta, cost, history = refine(run, theta, 10 / value, validation, show)
+    theta, cost, history = refine(run, theta, 10 / value, show)
     return Chosen(theta, 10 / cost, row, 10 / history)
 
 
@@ -83,11 +83,11 @@ def _best_first(value):
     return jnp.argsort(jnp.where(jnp.isfinite(value), -value, jnp.inf), axis=-1)
 
 
-# Refinements: (run, theta [S, n, genes], cost [S, n], validation, show) -> theta [S, genes],
+# Refinements: (run, theta [S, n, genes], cost [S, n], show) -> theta [S, genes],
 # cost [S], costs on the way [S, ...], those of the start first.
 
 
-def _gradient(run, theta, cost, validation, show):
+def _gradient(run, theta, cost, show):
     # Here, because optax takes a good part of a second to load.
     from fntg_jax import refine
 
@@ -115,16 +115,15 @@ def _gradient(run, theta, cost, validation, show):
 
     program = jax.jit(over_seeds(one_seed, run.mesh), compiler_options=xla.GRADIENT_OPTIONS)
     rows = (run.state.key, run.floats, run.place_rows(theta))
-    arguments = (run.scenes, validation), rows
+    arguments = (run.scenes, run.validation), rows
     found = _compiled(run, program, arguments)(*arguments)
     theta, cost, history = (hosts.gather(x)[: run.num_rows] for x in found[:3])
     show(config.refine_steps, config.refine_steps, float(np.median(10 / cost)))
     return theta, cost, history
 
 
-def _cma(run, theta, cost, validation, show):
-    """Half of the steps from each theta with large step sizes, which may leave a local optimum for
-    a better one; then all of the steps, with small ones, from the best.
+def _cma(run, theta, cost, show):
+    """All steps from each theta; the best validated result is kept.
 
     One compiled program of a few steps for all of it: a roll-out takes seconds to compile.
     """
@@ -132,10 +131,10 @@ def _cma(run, theta, cost, validation, show):
     static = _refining(run)
 
     def one_seed(shared, key, seed_floats, course):
-        scenes, validation, stage, num_steps = shared
+        scenes, validation, n, num_steps = shared
         traced = seed_floats._replace(scenes=scenes)
         return cma.advance(
-            jax.random.split(jax.random.fold_in(key, config.generations))[stage],
+            jax.random.fold_in(jax.random.fold_in(key, config.generations), n),
             course,
             lambda many, some: 10 / score(static, traced, many, some, axis=GENOME),
             lambda k: draw_scenes(static, traced, k),
@@ -144,19 +143,16 @@ def _cma(run, theta, cost, validation, show):
         )
 
     advance = jax.jit(over_seeds(one_seed, run.mesh))
-    wide, fine = -(-config.refine_steps // 2), config.refine_steps
-    done, wanted = 0, theta.shape[1] * wide + fine
+    done, wanted = 0, theta.shape[1] * config.refine_steps
     least = np.full(num, np.inf)
-
-    def search(theta, cost, stage, sigma, num_steps):
-        nonlocal advance, done, least
-        start = (theta, cost, np.full(num, sigma, np.float32))
-        course = run.place_rows(start, lambda rows: jax.vmap(cma.begin)(*rows))
-        history = [np.where(np.isfinite(cost), cost, np.inf)]
-        for first in range(0, num_steps, _VALIDATE_EVERY):
-            length = min(_VALIDATE_EVERY, num_steps - first)
+    tried = []
+    for n in range(theta.shape[1]):
+        course = run.place_rows((theta[:, n], cost[:, n]), lambda rows: jax.vmap(cma.begin)(*rows))
+        history = [np.where(np.isfinite(cost[:, n]), cost[:, n], np.inf)]
+        for first in range(0, config.refine_steps, _VALIDATE_EVERY):
+            length = min(_VALIDATE_EVERY, config.refine_steps - first)
             arguments = (
-                (run.scenes, validation, np.int32(stage), np.int32(length)),
+                (run.scenes, run.validation, np.int32(n), np.int32(length)),
                 (run.state.key, run.floats, course),
             )
             if done == 0:
@@ -164,17 +160,13 @@ def _cma(run, theta, cost, validation, show):
             course, newest = advance(*arguments)
             history.append(hosts.gather(newest)[:num])
             done += length
-            reached = np.fmin(least, hosts.gather(course.cost)[:num])
-            show(done, wanted, float(np.median(10 / reached)))
-        theta, cost = (hosts.gather(x)[:num] for x in (course.theta, course.cost))
-        least = np.fmin(least, cost)
-        return theta, cost, np.stack(history, axis=1)
-
-    tried = [search(theta[:, n], cost[:, n], 0, 0.5, wide) for n in range(theta.shape[1])]
+            least = np.fmin(least, hosts.gather(course.cost)[:num])
+            show(done, wanted, float(np.median(10 / least)))
+        theta_n, cost_n = (hosts.gather(x)[:num] for x in (course.theta, course.cost))
+        tried.append((theta_n, cost_n, np.stack(history, axis=1)))
     best = np.argmin([cost for _, cost, _ in tried], axis=0)
-    theta, cost, first = (np.stack(x)[best, np.arange(num)] for x in zip(*tried))
-    theta, cost, last = search(theta, cost, 1, 0.2, fine)
-    return theta, cost, np.concatenate([first, last[:, 1:]], axis=1)
+    found, cost, history = (np.stack(x)[best, np.arange(num)] for x in zip(*tried))
+    return found, cost, history
 
 
 def _refining(run):

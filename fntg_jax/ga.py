@@ -40,15 +40,14 @@ class GAConfig:
             truncation.
         num_points: cuts of the crossover.
         tournament_size: rivals of a tournament.
-        num_islands: the population is split into so many, which do not mix until `merge`.
+        num_islands: the population is split into so many, which never mix.
         crossover_rate: share of pairs that are crossed.
         mutation_rate: probability to flip, a bit, at the start.
         mutation_decay: the rate falls geometrically to this share of it at the horizon.
-        num_elites: best genomes copied unchanged (of each island while there are any).
+        num_elites: best genomes copied unchanged, of each island.
         rank_pressure: expected copies of the best under rank selection, 1 to 2.
         truncation_share: share of the population that breeds under truncation.
-        merge: share of the horizon after which the islands become one population.
-        horizon: generations that decay and merge refer to; the runner sets it.
+        horizon: generations that the decay refers to; the runner sets it.
     """
 
     population: int = _static(60)
@@ -64,7 +63,6 @@ class GAConfig:
     num_elites: int = 1
     rank_pressure: float = 1.8
     truncation_share: float = 0.5
-    merge: float = 0.5
     horizon: float = 95.0
 
 
@@ -92,7 +90,6 @@ def validate(config: GAConfig) -> None:
     check("crossover_rate", "0 to 1", share)
     check("mutation_rate", "0 to 1", share)
     check("mutation_decay", "above 0, up to 1", lambda x: 0 < x <= 1)
-    check("merge", "0 to 1", share)
     check(
         "num_elites",
         f"whole numbers from 0 to {config.population // max(config.num_islands, 1) - 1}",
@@ -253,21 +250,18 @@ def reproduce(
     config: GAConfig,
     progress: float | Array = 0.0,
 ) -> Bool[Array, "P L"]:
-    """The next population: select, cross neighbours, mutate, put the elite in front.
-
-    Before `merge` each island breeds by itself; afterwards selection sees all.
-    """
+    """The next population: select, cross neighbours, mutate, put the elite in front; every island
+    by itself."""
     rate = config.mutation_rate * config.mutation_decay**progress
     if config.num_islands == 1:
         return _breed(key, bits, fitness, config, rate)
     islands = (config.num_islands, -1)
-    apart = jax.vmap(lambda k, b, f: _breed(k, b, f, config, rate))(
+    bred = jax.vmap(lambda k, b, f: _breed(k, b, f, config, rate))(
         jax.random.split(key, config.num_islands),
         bits.reshape(*islands, bits.shape[-1]),
         fitness.reshape(islands),
     )
-    together = _breed(key, bits, fitness, config, rate)
-    return jnp.where(progress < config.merge, apart.reshape(bits.shape), together)
+    return bred.reshape(bits.shape)
 
 
 def _breed(key, bits, fitness, config, rate):

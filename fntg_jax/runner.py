@@ -49,7 +49,7 @@ class Progress(NamedTuple):
     control_steps: int
 
 
-_POOL_KEY = 0x9001  # of the training scenes; the next of validation; evaluation draws others
+_POOL_KEY = 0x9001  # of the scenes of training and validation; evaluation draws others
 _VALIDATION = 2048  # scenes that the final controller is chosen on
 _MAX_CHUNK = 10  # generations
 _CHUNK_SECONDS = 1.0  # how long a chunk should take
@@ -86,13 +86,12 @@ class Run:
         self.world = get_world(config.env)
         self.layout = get_layout(config.layout)
         self.env = self.world.make(**config.env_options)
-        # All seeds share the pool, so that a seed's result does not depend on its company.
-        scenes = get_suite(self.world, config.suite)(
-            jax.random.key(_POOL_KEY), config.scene_pool or config.num_scenes
-        )
         self.chunk = 1
         self.mesh = make_mesh(self.num_rows, config.ga.population * config.num_scenes)
+        # All seeds share the pool, so that a seed's result does not depend on its company.
+        scenes, validation = _draw(get_suite(self.world, config.suite), config)
         self.scenes = self._place(scenes, P())
+        self.validation = self._place(validation, P()) if config.scene_pool else self.scenes
         self.compile_seconds = 0.0
         self.origin = ""  # of the first populations, in words; "" if they are random
         self.restart(variants or (config,))
@@ -205,11 +204,7 @@ class Run:
             bits = hosts.gather(self.state.best_bits)[: self.num_rows]
             theta = np.asarray(self._decode(bits))
             return Result(theta, hosts.gather(self.state.best_fitness)[: len(bits)], bits, None)
-        validation = self.scenes
-        if self.config.scene_pool:
-            suite = get_suite(self.world, self.config.suite)
-            validation = self._place(suite(jax.random.key(_POOL_KEY + 1), _VALIDATION), P())
-        theta, value, row, refined = conclude.conclude(self, validation, show)
+        theta, value, row, refined = conclude.conclude(self, show)
         if refined is not None:
             return Result(theta, value, None, refined)
         bits = hosts.gather(self.state.bits)[np.arange(self.num_rows), row]
@@ -217,6 +212,23 @@ class Run:
 
     def _decode(self, bits):
         return genome.decode(bits, self.config.ga.num_bits, self.config.ga.gray)
+
+
+def _draw(suite, config: TrainConfig):
+    """Scenes of training, and those of validation: the same where they are few and fixed."""
+    key = jax.random.key(_POOL_KEY)
+    if config.scene_pool == 0:
+        scenes = suite(key, config.num_scenes)
+        return scenes, scenes
+    # One draw, which takes seconds to compile.  A mix comes suite by suite: evenly spread rows
+    # hold all of them.
+    size = config.scene_pool + _VALIDATION
+    drawn = jax.tree.map(np.asarray, suite(key, size))
+    rows = np.arange(_VALIDATION) * size // _VALIDATION
+    return (
+        jax.tree.map(lambda x: np.delete(x, rows, axis=0), drawn),
+        jax.tree.map(lambda x: x[rows], drawn),
+    )
 
 
 def _floats(config: TrainConfig) -> Traced:

@@ -75,6 +75,7 @@ PRESETS = {
     "paper": TrainConfig(),
     # For scenes never seen in training.
     "robust": TrainConfig(
+        output="clip",
         suite="open:2,blocked:3",
         num_scenes=32,
         scene_pool=16384,
@@ -86,17 +87,16 @@ PRESETS = {
             gray=True,
             selection="tournament",
             tournament_size=4,
-            num_islands=8,
-            merge=1.0,
+            num_islands=4,
             mutation_rate=0.015,
             mutation_decay=0.13,
             crossover_rate=0.9,
             num_elites=2,
         ),
-        refine_steps=1200,
+        refine_steps=900,
         refine_method="cma",
-        refine_scenes=128,
-        refine_top=3,
+        refine_scenes=64,
+        refine_top=1,
     ),
 }
 

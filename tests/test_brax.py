@@ -70,10 +70,10 @@ def driven(adapter):
     ball = np.stack([result[0].world.ball.x, result[0].world.ball.y], axis=1)
     pick = np.argmin(np.abs(ball[:, None] - np.asarray(scenes.ball)).sum(-1), axis=1)
     chosen = jax.tree.map(lambda x: x[pick], scenes)
-    outcome = jax.tree.map(
-        lambda x: x[0],
-        jax.jit(lambda t, s: rollout_pairs(controller.layout, t, s, model))(theta, chosen),
+    judge = jax.jit(
+        lambda t, s: rollout_pairs(controller.layout, t, s, model, output=controller.output)
     )
+    outcome = jax.tree.map(lambda x: x[0], judge(theta, chosen))
     return env, result, outcome
 
 

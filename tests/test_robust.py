@@ -14,17 +14,15 @@ from fntg_jax.layout import get_layout
 from fntg_jax.rollout import Outcome
 
 
-def bred(progress, **options):
-    """A population of two islands, one all zeros and one all ones, after one reproduction."""
-    config = ga.GAConfig(population=40, num_islands=2, mutation_rate=0.0, num_elites=0, **options)
+def test_islands_do_not_mix():
     bits = jnp.repeat(jnp.asarray([False, True]), 20)[:, None] & jnp.ones((40, 60), bool)
-    return np.asarray(ga.reproduce(jax.random.key(0), bits, jnp.ones(40), config, progress))
 
+    def bred(num_islands):
+        config = ga.GAConfig(40, num_islands=num_islands, mutation_rate=0.0, num_elites=0)
+        return np.asarray(ga.reproduce(jax.random.key(0), bits, jnp.ones(40), config))
 
-def test_islands_do_not_mix_until_they_merge():
-    apart = bred(0.4, merge=0.5)
+    apart, together = bred(2), bred(1)
     assert not apart[:20].any() and apart[20:].all()
-    together = bred(0.6, merge=0.5)
     assert together[:20].any() and not together[20:].all()
 
 
@@ -100,9 +98,7 @@ def test_the_final_controller_is_the_best_of_its_population_on_validation_scenes
     run = runner.train(config)
     result, again = run.conclude(), run.conclude()
     np.testing.assert_array_equal(result.theta, again.theta)
-    scenes = settings.get_suite(run.world, config.suite)(
-        jax.random.key(runner._POOL_KEY + 1), runner._VALIDATION
-    )
+    scenes = run.validation
     static, traced = run.config_static(), run.traced()
     value = jax.jit(lambda theta: objective.score(static, traced, theta, scenes))
     for n in range(2):
@@ -128,21 +124,36 @@ def barely_evolved(**options):
 
 def test_covariance_adaptation_continues_from_the_best_of_the_population(monkeypatch):
     monkeypatch.setattr(runner, "_VALIDATION", 64)
-    config = barely_evolved(seeds=2, refine_steps=60)
+    config = barely_evolved(seeds=2, refine_steps=50, refine_top=2)
     plain = runner.train(dataclasses.replace(config, refine_steps=0)).conclude()
     shown = []
     result = runner.train(config).conclude(lambda *progress: shown.append(progress))
-    assert [done for done, _, _ in shown][-3:] == [110, 130, 150]
-    assert {total for _, total, _ in shown} == {150}
+    assert [done for done, _, _ in shown] == [20, 40, 50, 70, 90, 100]
+    assert {total for _, total, _ in shown} == {100}
     best = [best for _, _, best in shown]
     assert best == sorted(best) and best[-1] == pytest.approx(np.median(result.fitness))
-    # The start, two validations of the 30 wide steps, three of the 60 fine ones.
-    assert result.refined.shape == (2, 6)
+    assert result.refined.shape == (2, 4)  # the start, and three validations
     # The course is that of the island which wins; it need not have led before.
     assert (result.refined[:, 0] <= plain.fitness * (1 + 1e-4)).all()
     np.testing.assert_array_equal(result.fitness, result.refined.max(axis=1))
     assert (result.fitness > plain.fitness).all()
     assert (abs(result.theta) <= 5).all() and result.bits is None
+
+
+def test_validation_scenes_are_a_share_of_every_suite_and_not_trained_on(monkeypatch):
+    monkeypatch.setattr(runner, "_VALIDATION", 50)
+    run = runner.Run(
+        dataclasses.replace(barely_evolved(), suite="open:3,blocked:2", scene_pool=450)
+    )
+    pool, held = (np.asarray(s.start) for s in (run.scenes, run.validation))
+    assert pool.shape == (450, 3) and held.shape == (50, 3)
+    assert not (pool[:, None] == held).all(axis=-1).any()
+    # The obstacle of a blocked scene is within 0.145 m of the line from start to ball.
+    s = run.validation
+    line = np.asarray(s.ball) - s.start[:, :2]
+    to = np.asarray(s.obstacles)[:, 0, :2] - s.start[:, :2]
+    off = abs(line[:, 0] * to[:, 1] - line[:, 1] * to[:, 0]) / np.hypot(*line.T)
+    assert (off[30:] <= 0.145 + 1e-5).all() and (off[:30] > 0.145).mean() > 0.5
 
 
 @pytest.mark.slow

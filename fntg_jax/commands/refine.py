@@ -22,14 +22,14 @@ class RefineOptions:
     out: Path = Path("refined.json")
     """file to write, in the exchange format (`fntg export` makes others of it)."""
     method: Literal["gradient", "cma"] = "gradient"
-    """gradient: cheap and local; cma: 48 samples a step, passes the jumps of the roll-out."""
+    """gradient: cheap and local; cma: 192 samples a step, passes the jumps of the roll-out."""
     steps: int = 300
     """steps of the method."""
     rate: float = 0.003
     """gradient: learning rate at the start, falling to 5 % of it."""
     optimizer: str = "adam"
     """gradient: an optax optimizer by name: adam, sgd, rmsprop, lion, ..."""
-    sigma: float = 0.2
+    sigma: float = 0.5
     """cma: first step size, in genes."""
     suite: str = "open:2,blocked:3"
     """training and validation scenes: a suite, or several with their shares."""
