@@ -92,7 +92,6 @@ def ablations(preset: TrainConfig) -> dict[str, TrainConfig]:
             if field.name not in _FIXED and not dataclasses.is_dataclass(value):
                 without(field.name, group, value)
     without("suite", "", "open")  # no obstacle in the way
-    without("clearance_start", "smooth", preset.smooth.clearance)  # no ramp
     without("gate", "smooth", 1000.0)  # stopping always counts
     without("margin", "smooth", 0.145)  # no more clearance than what counts
     return found

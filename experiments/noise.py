@@ -74,7 +74,7 @@ class Options:
     generations: int = 100
     """of the preset robust (which has 200)."""
     refine_steps: int = 450
-    """of its refinement (which has 900)."""
+    """of its refinement (which has 750)."""
     population: int = 512
     """genomes."""
     scenes: int = 1000

@@ -98,8 +98,8 @@ class Checkpoint(NamedTuple):
 
 
 class Search(NamedTuple):
-    """start: (key, theta of an earlier phase or None) -> state.  iterate: (key, state, progress,
-    iterations, cost_fn, draw) -> state, champion [genes]; iterations: of the whole phase.  mean:
+    """start: (key, theta of an earlier phase or None) -> state.  iterate: (key, state, iterations,
+    cost_fn, draw) -> state, champion [genes]; iterations: of the whole phase.  mean:
     state -> theta [n, genes], further candidates.  steps: (num_scenes) -> control steps an
     iteration.  compiler_options: of its program."""
 
@@ -123,11 +123,11 @@ def genetic(config: ga.GAConfig, ranges: Any = None) -> Search:
         del theta
         return ga.init(key, _GENES, config, ranges)
 
-    def iterate(key, state, progress, iterations, cost_fn, draw):
-        del key, progress  # it draws its own, and decay goes by generation / horizon
+    def iterate(key, state, iterations, cost_fn, draw):
+        del key  # it draws its own, and decay goes by generation / horizon
 
-        def fitness_fn(key, theta, progress):
-            return 10 / (0.1 + cost_fn(theta, draw(key), progress))
+        def fitness_fn(key, theta):
+            return 10 / (0.1 + cost_fn(theta, draw(key)))
 
         now = dataclasses.replace(config, horizon=float(iterations))
         state, record = ga.generation(state, fitness_fn, now)
@@ -154,12 +154,12 @@ def gradient(num_starts: int, rate: float) -> Search:
         # The state does not depend on the length of the schedule.
         return theta[:num_starts], refine.optimiser("adam", 1, rate).init(theta[:num_starts])
 
-    def iterate(key, state, progress, iterations, cost_fn, draw):
+    def iterate(key, state, iterations, cost_fn, draw):
         theta, moments = state
         scenes = draw(key)
 
         def total(theta):  # nobody's cost depends on another's genes
-            value = cost_fn(theta, scenes, progress, checkpoint=True)
+            value = cost_fn(theta, scenes, checkpoint=True)
             return jnp.sum(value), value
 
         (_, value), slope = jax.value_and_grad(total, has_aux=True)(theta)
@@ -185,13 +185,13 @@ def covariance(sigma: float, population: int = 48, batches: int = 4) -> Search:
         del key
         return cma.init(theta[0], sigma), jnp.asarray(0)
 
-    def iterate(key, state, progress, iterations, cost_fn, draw):
+    def iterate(key, state, iterations, cost_fn, draw):
         del iterations
         search, count = state
         k_scenes, k_samples = jax.random.split(key)
         parts = [draw(k) for k in jax.random.split(k_scenes, batches)]
         scenes = jax.tree.map(lambda *x: jnp.concatenate(x), *parts)
-        step = cma.make_step(_GENES, population, lambda theta, s: cost_fn(theta, s, progress))
+        step = cma.make_step(_GENES, population, lambda theta, s: cost_fn(theta, s))
         search, _ = step(k_samples, search, scenes, count)
         return (search, count + 1), cma.inside(search.mean)
 
@@ -213,12 +213,12 @@ def evosax_search(algorithm: Any, params: Any, population: int, distribution: bo
             return algorithm.init(key, first[0], params)
         return algorithm.init(key, first, jnp.arange(population, dtype=jnp.float32), params)
 
-    def iterate(key, state, progress, iterations, cost_fn, draw):
+    def iterate(key, state, iterations, cost_fn, draw):
         del iterations
         k_ask, k_scenes, k_tell = jax.random.split(key, 3)
         theta, state = algorithm.ask(k_ask, state, params)
         inside = jnp.clip(theta, LOW, HIGH)
-        cost = cost_fn(inside, draw(k_scenes), progress)
+        cost = cost_fn(inside, draw(k_scenes))
         state, _ = algorithm.tell(k_tell, theta, cost, state, params)
         return state, inside[jnp.argmin(cost)]
 
@@ -299,23 +299,21 @@ def _compiled(name, phase, search, task, num, length, state):
     which = (name, phase, task, num, length)
     if which not in _programs:
         _programs[which] = (
-            jax.jit(partial(_block, search=search, task=task, num=num, length=length, phase=phase))
+            jax.jit(partial(_block, search=search, task=task, num=num, length=length))
             .lower(state, jax.random.key(0), jnp.asarray(0), task.traced)
             .compile(compiler_options=search.compiler_options)
         )
     return _programs[which]
 
 
-def _block(state, key, first, traced, *, search, task, num, length, phase):
-    def cost_fn(theta, scenes, progress, **options):
-        return 10 / score(task.static, traced, theta, scenes, progress, **options) - 0.1
+def _block(state, key, first, traced, *, search, task, num, length):
+    def cost_fn(theta, scenes, **options):
+        return 10 / score(task.static, traced, theta, scenes, **options) - 0.1
 
     def iterate(state, n):
-        # A second phase starts with the weights that the first ended with.
-        progress = jnp.asarray(1.0) if phase else n / (num * length)
         draw = partial(draw_scenes, task.static, traced)
         k = jax.random.fold_in(key, n)
-        return search.iterate(k, state, progress, num * length, cost_fn, draw)
+        return search.iterate(k, state, num * length, cost_fn, draw)
 
     state, champions = jax.lax.scan(iterate, state, first + jnp.arange(length))
     # Always as many candidates: short blocks repeat theirs.

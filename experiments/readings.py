@@ -168,7 +168,7 @@ def learn(reading: Reading, options: Options, world: Any) -> Result:
         def step(state, _):
             theta = genome.decode(state.bits, config.num_bits)
             value = reading.fitness_fn(drive(theta, starts))
-            state, _ = ga.generation(state, lambda key, theta, progress: value, config)
+            state, _ = ga.generation(state, lambda key, theta: value, config)
             return state, (jnp.min(10 / value), jnp.sum(value <= 0))
 
         state, (least, lost) = jax.lax.scan(step, state, None, length=options.generations)

@@ -101,7 +101,7 @@ def evolve(
     """The best of the last generations' champions, compared on eight more draws of scenes."""
     mix = world.mix(MIX)
 
-    def fitness_fn(key, theta, progress=0.0, *, env):
+    def fitness_fn(key, theta, *, env):
         return geometric_fitness(
             rollout_pairs(layout, theta, mix(key, num_scenes), env, output=output)
         )

@@ -211,7 +211,7 @@ def run(config: Config, env) -> tuple[ga.State, ga.Record]:
     )
     fitness = {"tracking": tracking_fitness, "speed": speed_fitness}[config.goal]
 
-    def fitness_fn(key, theta, progress=0.0):
+    def fitness_fn(key, theta):
         return jax.vmap(partial(fitness, env, key))(theta)
 
     advance = jax.jit(partial(ga.generation, fitness_fn=fitness_fn, config=settings))

@@ -123,18 +123,19 @@ def _gradient(run, theta, cost, show):
 
 
 def _cma(run, theta, cost, show):
-    """All steps from each theta; the best validated result is kept.
+    """A third of the steps from each theta, then the rest where that came to the lowest cost: a
+    few searches end in a local optimum, and most of these show by then.
 
     One compiled program of a few steps for all of it: a roll-out takes seconds to compile.
     """
     config, num = run.config, run.num_rows
     static = _refining(run)
 
-    def one_seed(shared, key, seed_floats, course):
-        scenes, validation, n, num_steps = shared
+    def one_seed(shared, key, seed_floats, start, course):
+        scenes, validation, num_steps = shared
         traced = seed_floats._replace(scenes=scenes)
         return cma.advance(
-            jax.random.fold_in(jax.random.fold_in(key, config.generations), n),
+            jax.random.fold_in(jax.random.fold_in(key, config.generations), start),
             course,
             lambda many, some: 10 / score(static, traced, many, some, axis=GENOME),
             lambda k: draw_scenes(static, traced, k),
@@ -143,17 +144,20 @@ def _cma(run, theta, cost, show):
         )
 
     advance = jax.jit(over_seeds(one_seed, run.mesh))
-    done, wanted = 0, theta.shape[1] * config.refine_steps
+    trial = config.refine_steps // 3 if theta.shape[1] > 1 else 0
+    done, wanted = 0, config.refine_steps + (theta.shape[1] - 1) * trial
     least = np.full(num, np.inf)
-    tried = []
-    for n in range(theta.shape[1]):
-        course = run.place_rows((theta[:, n], cost[:, n]), lambda rows: jax.vmap(cma.begin)(*rows))
-        history = [np.where(np.isfinite(cost[:, n]), cost[:, n], np.inf)]
-        for first in range(0, config.refine_steps, _VALIDATE_EVERY):
-            length = min(_VALIDATE_EVERY, config.refine_steps - first)
+
+    def go_on(start, course, num_steps):
+        """num_steps more of the courses [S], which began at theta[:, start]; start: [S]."""
+        nonlocal advance, done, least
+        history = []
+        start = run.place_rows(start)
+        for first in range(0, num_steps, _VALIDATE_EVERY):
+            length = min(_VALIDATE_EVERY, num_steps - first)
             arguments = (
-                (run.scenes, run.validation, np.int32(n), np.int32(length)),
-                (run.state.key, run.floats, course),
+                (run.scenes, run.validation, np.int32(length)),
+                (run.state.key, run.floats, start, course),
             )
             if done == 0:
                 advance = _compiled(run, advance, arguments)
@@ -162,11 +166,18 @@ def _cma(run, theta, cost, show):
             done += length
             least = np.fmin(least, hosts.gather(course.cost)[:num])
             show(done, wanted, float(np.median(10 / least)))
-        theta_n, cost_n = (hosts.gather(x)[:num] for x in (course.theta, course.cost))
-        tried.append((theta_n, cost_n, np.stack(history, axis=1)))
-    best = np.argmin([cost for _, cost, _ in tried], axis=0)
-    found, cost, history = (np.stack(x)[best, np.arange(num)] for x in zip(*tried))
-    return found, cost, history
+        return jax.tree.map(lambda x: hosts.gather(x)[:num], course), history
+
+    tried = []
+    for n in range(theta.shape[1]):
+        course = run.place_rows((theta[:, n], cost[:, n]), lambda rows: jax.vmap(cma.begin)(*rows))
+        course, history = go_on(np.full(num, n), course, trial)
+        first = np.where(np.isfinite(cost[:, n]), cost[:, n], np.inf)
+        tried.append((course, np.stack([first, *history], axis=1)))
+    best = np.argmin([course.cost for course, _ in tried], axis=0)
+    course, history = jax.tree.map(lambda *x: np.stack(x)[best, np.arange(num)], *tried)
+    course, rest = go_on(best, run.place_rows(course), config.refine_steps - trial)
+    return course.theta, course.cost, np.concatenate([history, *(x[:, None] for x in rest)], axis=1)
 
 
 def _refining(run):

@@ -103,9 +103,7 @@ class SmoothWeights:
         still: scale of the speed beyond, m/s.
         gate: only within about this distance of the ball does stopping count, m.
         margin: clearance that is asked for, m: more than the 0.145 m that count.
-        clearance: weight of falling short of it, per 0.1 m, at the end of learning.
-        clearance_start: the same at the beginning.
-        ramp: share of the generations over which the weight rises to its end value.
+        clearance: weight of falling short of it, per 0.1 m.
     """
 
     near: float = 0.05
@@ -118,25 +116,20 @@ class SmoothWeights:
     gate: float = 0.4
     margin: float = 0.16
     clearance: float = 10.0
-    clearance_start: float = 1.5
-    ramp: float = 0.7
 
 
-def smooth_cost(
-    outcome: Outcome, weights: SmoothWeights = SmoothWeights(), progress: float | Array = 1.0
-) -> Float[Array, "..."]:
+def smooth_cost(outcome: Outcome, weights: SmoothWeights = SmoothWeights()) -> Float[Array, "..."]:
     """Cost of each trial, >= 0, for learning on scenes that change: log-scaled, gated, and 0
     for a trial that succeeds with a little to spare.
 
     L(d - reach, near) + arrival L(d_1 - arrived, near)
-    + stop L(v_fit - slow, still) / (1 + (d/gate)^2) + W max(margin - h, 0) / 0.1 m,
-    L(x, scale) = log(1 + (max(x, 0) / scale)^2), with d, d_1 after steps 200, 170 and W rising
-    geometrically with progress (0 .. 1).
+    + stop L(v_fit - slow, still) / (1 + (d/gate)^2) + clearance max(margin - h, 0) / 0.1 m,
+    L(x, scale) = log(1 + (max(x, 0) / scale)^2), with d, d_1 after steps 200, 170.
 
     The logarithms let no single lost scene outweigh the rest, and what is good enough weighs
     nothing: selection then looks at the scenes that fail.  The gate is what makes it work:
     where stopping always counts, standing still is a local optimum that populations do not
-    leave.  W starts low for the same reason: first learn to arrive, then to keep clear.
+    leave.
     """
     w = weights
 
@@ -146,16 +139,14 @@ def smooth_cost(
     d1, d = outcome.distance[..., 0], outcome.distance[..., 1]
     v_fit = jnp.mean(jnp.abs(outcome.v), axis=-1)
     short = jnp.maximum(w.margin - outcome.clearance, 0)
-    rise = jnp.minimum(progress / w.ramp, 1)
-    clearance = w.clearance_start * (w.clearance / w.clearance_start) ** rise
     cost = beyond(d, w.reach, w.near) + w.arrival * beyond(d1, w.arrived, w.near)
     cost += w.stop * beyond(v_fit, w.slow, w.still) / (1 + (d / w.gate) ** 2)
     # A fall costs as much as any trial can.
-    return cost + clearance * short / 0.1 + jnp.where(outcome.failed, 30.0, 0.0)
+    return cost + w.clearance * short / 0.1 + jnp.where(outcome.failed, 30.0, 0.0)
 
 
 def smooth_fitness(
-    outcome: Outcome, weights: SmoothWeights = SmoothWeights(), progress: float | Array = 1.0
+    outcome: Outcome, weights: SmoothWeights = SmoothWeights()
 ) -> Float[Array, " P"]:
     """10 / (0.1 + mean `smooth_cost` over the trials): of the paper's form, at most 100."""
-    return 10 / (0.1 + jnp.mean(smooth_cost(outcome, weights, progress), axis=-1))
+    return 10 / (0.1 + jnp.mean(smooth_cost(outcome, weights), axis=-1))

@@ -16,10 +16,8 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from fntg_jax import genome
 
 Selection = Literal["roulette", "sus", "rank", "tournament", "truncation"]
-# (key, theta, progress) -> fitness; progress is generation / horizon, for curricula.
-FitnessFn = Callable[
-    [Key[Array, ""], Float[Array, "P genes"], Float[Array, ""]], Float[Array, " P"]
-]
+# (key, theta) -> fitness.
+FitnessFn = Callable[[Key[Array, ""], Float[Array, "P genes"]], Float[Array, " P"]]
 
 
 def _static(default):
@@ -282,8 +280,7 @@ def generation(state: State, fitness_fn: FitnessFn, config: GAConfig) -> tuple[S
     """
     k_fitness, k_reproduce = jax.random.split(jax.random.fold_in(state.key, state.generation))
     theta = genome.decode(state.bits, config.num_bits, config.gray)
-    progress = state.generation / config.horizon
-    raw = fitness_fn(k_fitness, theta, progress)
+    raw = fitness_fn(k_fitness, theta)
     finite = jnp.isfinite(raw)
     fitness = jnp.where(finite, raw, 0)
     champion = jnp.argmax(jnp.where(finite, raw, -jnp.inf))
@@ -296,7 +293,7 @@ def generation(state: State, fitness_fn: FitnessFn, config: GAConfig) -> tuple[S
         best_bits=state.bits[champion],
     )
     new = State(
-        bits=reproduce(k_reproduce, state.bits, fitness, config, progress),
+        bits=reproduce(k_reproduce, state.bits, fitness, config, state.generation / config.horizon),
         key=state.key,
         generation=state.generation + 1,
         best_bits=jnp.where(better, state.bits[champion], state.best_bits),

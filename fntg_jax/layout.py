@@ -149,7 +149,13 @@ def get_layout(name: str) -> Layout:
 # within the range of their input (m, m, rad); biases are small.  Most of (-5, 5) lies outside of
 # the field, and labels that start there are the same everywhere: no rule can be told from another.
 _FALLING, _RISING = (-5.0, -1.0), (1.0, 5.0)
-_CENTRES = {"A": (0.0, 2.0), "B": (0.0, 1.0), "C": (-1.0, 1.0)}
+_CENTRES = {
+    "A": ((0.0, 2.0), (0.0, 2.0)),
+    "B": ((0.0, 1.0), (0.0, 1.0)),
+    # "Right" and "left" leave a gap around straight ahead, where their normalised pair then
+    # switches sharply.  Where they overlap, most populations keep to a soft middle for good.
+    "C": ((-1.0, 0.0), (0.0, 1.0)),
+}
 _WIDTHS = (0.3, 1.5)
 _BIASES = (-1.0, 1.0)
 
@@ -190,7 +196,7 @@ def _build(
                 slots["c_C", 1] = (slots["c_C", 0][0], -1)
                 continue
             slope = (_FALLING, _RISING)[n]
-            for kind, u, start in (("a", f"1/{unit}", slope), ("c", unit, _CENTRES[family])):
+            for kind, u, start in (("a", f"1/{unit}", slope), ("c", unit, _CENTRES[family][n])):
                 symbol = f"{kind}_{{{family}_{n + 1}}}"
                 gene = Gene(f"{kind}_{family}{n + 1}", symbol, u, partition=start)
                 slots[f"{kind}_{family}", n] = (add(gene), 1)

@@ -31,14 +31,14 @@ class Traced(NamedTuple):
     scenes: Any
 
 
-def score(static: Static, traced: Traced, theta, scenes, progress=1.0, **options):
+def score(static: Static, traced: Traced, theta, scenes, **options):
     """Fitness [P] of theta [P, genes] on scenes; options: those of `rollout.rollout`."""
     outcome = rollout_pairs(
         static.layout, theta, scenes, traced.env, output=static.output, **options
     )
     if static.objective == "paper":
         return fitness.paper_fitness(outcome, traced.fitness)
-    return fitness.smooth_fitness(outcome, traced.smooth, progress)
+    return fitness.smooth_fitness(outcome, traced.smooth)
 
 
 def draw_scenes(static: Static, traced: Traced, key):

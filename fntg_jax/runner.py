@@ -248,9 +248,9 @@ def program_key(config: TrainConfig) -> tuple[Any, ...]:
 
 
 def _make_fitness(static: Static, traced: Traced) -> ga.FitnessFn:
-    def fitness_fn(key, theta, progress):
+    def fitness_fn(key, theta):
         scenes = draw_scenes(static, traced, key)
-        return score(static, traced, theta, scenes, progress, axis=GENOME)
+        return score(static, traced, theta, scenes, axis=GENOME)
 
     return fitness_fn
 

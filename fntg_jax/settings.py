@@ -42,7 +42,8 @@ class TrainConfig:
         refine_method: "gradient": reverse mode and Adam; "cma": covariance matrix adaptation.
         refine_scenes: scenes of a step, where scenes are fresh; 0 for num_scenes.
         refine_rate: learning rate of the gradient (Adam, cosine decay), genes a step.
-        refine_top: individuals of a seed that are refined; the best validated one is kept.
+        refine_top: individuals of a seed that are refined; the best validated one is kept (cma:
+            goes on after a third of the steps).
         fitness: weights of the paper's fitness.
         smooth: weights of the smooth objective.
     """
@@ -87,16 +88,16 @@ PRESETS = {
             gray=True,
             selection="tournament",
             tournament_size=4,
-            num_islands=4,
+            num_islands=8,
             mutation_rate=0.015,
             mutation_decay=0.13,
             crossover_rate=0.9,
             num_elites=2,
         ),
-        refine_steps=900,
+        refine_steps=750,
         refine_method="cma",
         refine_scenes=64,
-        refine_top=1,
+        refine_top=2,
     ),
 }
 
@@ -142,7 +143,7 @@ def validate(config: TrainConfig) -> None:
             raise ValueError(f"{name} = {word!r}: allowed are {', '.join(allowed)}")
     positive = {
         "fitness": ("gamma",),
-        "smooth": ("near", "still", "gate", "clearance", "clearance_start", "ramp"),
+        "smooth": ("near", "still", "gate", "clearance"),
     }
     for group, names in positive.items():
         for name, value in dataclasses.asdict(getattr(config, group)).items():

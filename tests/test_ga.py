@@ -172,7 +172,7 @@ def test_against_a_plain_genetic_algorithm_of_the_same_draws(selection):
         num_elites=2,
     )
 
-    def fitness_fn(key, theta, progress=0.0):
+    def fitness_fn(key, theta):
         noise = jax.random.uniform(key, (theta.shape[0],))
         value = 1 + noise + jnp.sum(theta**2, axis=1)
         return jnp.where(noise > 0.8, jnp.nan, value)
@@ -194,13 +194,13 @@ def test_against_a_plain_genetic_algorithm_of_the_same_draws(selection):
     assert nonfinite > 0
 
 
-def ones(key, theta, progress=0.0):
-    del key, progress
+def ones(key, theta):
+    del key
     return jnp.mean(theta, axis=1) / 10 + 0.5  # num_bits = 1: the share of ones
 
 
-def sphere(key, theta, progress=0.0):
-    del key, progress
+def sphere(key, theta):
+    del key
     return 1 / (0.01 + jnp.sum((theta - 1.5) ** 2, axis=1))
 
 
@@ -252,7 +252,7 @@ def test_elites_are_kept_unchanged_and_in_order():
 def test_nan_populations_are_counted_and_recover():
     """The first generations give nothing but NaN and infinity."""
 
-    def fitness_fn(key, theta, progress=0.0):
+    def fitness_fn(key, theta):
         good = ones(key, theta)
         # Everything is lost unless the (fitness-independent) key says otherwise.
         lost = jax.random.uniform(key) < 0.5
@@ -268,7 +268,7 @@ def test_nan_populations_are_counted_and_recover():
     assert (record.best[~lost] > 0).all()
     assert state.best_fitness == record.best.max()
     assert np.isfinite(state.best_fitness)
-    state, record = run(lambda k, t, p: jnp.full(t.shape[0], jnp.nan), c, 20, 3)
+    state, record = run(lambda k, t: jnp.full(t.shape[0], jnp.nan), c, 20, 3)
     assert (record.num_nonfinite == 20).all()
     assert state.best_fitness == -np.inf
     assert 0 < state.bits.mean() < 1  # still a population

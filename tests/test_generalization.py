@@ -16,17 +16,8 @@ ROBUST = settings.PRESETS["robust"]
 
 def test_every_ablation_takes_one_thing_away():
     found = generalization.ablations(ROBUST)
-    for part in (
-        "gray",
-        "num_islands",
-        "mutation_decay",
-        "scene_pool",
-        "selection",
-        "gate",
-        "ramp",
-    ):
-        wanted = {"ramp": "clearance_start"}.get(part, part)
-        assert sum(wanted in name for name in found) == 1, part
+    for part in ("gray", "num_islands", "mutation_decay", "scene_pool", "selection", "gate"):
+        assert sum(part in name for name in found) == 1, part
     for name, config in found.items():
         settings.validate(config)
         groups = [("", ROBUST, config)] + [
@@ -41,7 +32,7 @@ def test_every_ablation_takes_one_thing_away():
         ]
         assert changed == [name.partition("=")[0]]
     assert generalization.ablations(settings.TrainConfig(suite="open")).keys() == {
-        "smooth.clearance_start=10", "smooth.gate=1000", "smooth.margin=0.145"
+        "smooth.gate=1000", "smooth.margin=0.145"
     }  # fmt: skip
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from fntg_jax import fitness, ga, genome, objective, runner, settings
-from fntg_jax.fitness import SmoothWeights
 from fntg_jax.layout import get_layout
 from fntg_jax.rollout import Outcome
 
@@ -40,7 +39,6 @@ def outcome(d=0.0, v=0.0, clearance=1.0, failed=False):
 
 
 def test_smooth_cost_by_hand():
-    w = SmoothWeights()
     assert fitness.smooth_cost(outcome()) == 0
     far = math.log1p((0.94 / 0.05) ** 2) + 0.5 * math.log1p((0.92 / 0.05) ** 2)
     np.testing.assert_allclose(fitness.smooth_cost(outcome(d=1.0)), far, rtol=1e-6)
@@ -50,13 +48,10 @@ def test_smooth_cost_by_hand():
     at_gate = outcome(d=0.4, v=0.1)
     alone = fitness.smooth_cost(outcome(d=0.4))
     np.testing.assert_allclose(fitness.smooth_cost(at_gate) - alone, moving / 2, rtol=1e-5)
-    # The weight of clearance rises from its start to its end value over 0.7 of the run.
-    for progress, weight in ((0.0, 1.5), (0.35, math.sqrt(1.5 * 10)), (0.7, 10), (1.0, 10)):
-        cost = fitness.smooth_cost(outcome(clearance=0.06), w, progress)
-        np.testing.assert_allclose(cost, weight, rtol=1e-5)
-    # Arriving roughly beats standing still far away: no local optimum of doing nothing.
-    arrived = fitness.smooth_cost(outcome(d=0.05, clearance=0.05), w, 0.0)
-    assert 2 * arrived < fitness.smooth_cost(outcome(d=1.0), w, 0.0)
+    np.testing.assert_allclose(fitness.smooth_cost(outcome(clearance=0.06)), 10, rtol=1e-5)
+    # Arriving without stopping beats standing still far away: no local optimum of doing nothing.
+    arrived = fitness.smooth_cost(outcome(d=0.05, v=0.05))
+    assert 2 * arrived < fitness.smooth_cost(outcome(d=1.0))
     assert np.isfinite(fitness.smooth_cost(outcome(failed=True)))
 
 
@@ -124,21 +119,19 @@ def barely_evolved(**options):
 
 def test_covariance_adaptation_continues_from_the_best_of_the_population(monkeypatch):
     monkeypatch.setattr(runner, "_VALIDATION", 64)
-    config = barely_evolved(seeds=2, refine_steps=50, refine_top=2)
+    config = barely_evolved(seeds=2, refine_steps=90, refine_top=2)
     plain = runner.train(dataclasses.replace(config, refine_steps=0)).conclude()
     shown = []
     result = runner.train(config).conclude(lambda *progress: shown.append(progress))
-    assert [done for done, _, _ in shown] == [20, 40, 50, 70, 90, 100]
-    assert {total for _, total, _ in shown} == {100}
+    assert [done for done, _, _ in shown] == [20, 30, 50, 60, 80, 100, 120]
+    assert {total for _, total, _ in shown} == {120}
     best = [best for _, _, best in shown]
     assert best == sorted(best) and best[-1] == pytest.approx(np.median(result.fitness))
-    assert result.refined.shape == (2, 4)  # the start, and three validations
+    assert result.refined.shape == (2, 6)  # the start, and five validations
     # The course is that of the island which wins; it need not have led before.
     assert (result.refined[:, 0] <= plain.fitness * (1 + 1e-4)).all()
     np.testing.assert_array_equal(result.fitness, result.refined.max(axis=1))
-    # Never worse, and at so small a budget not better for every seed.
-    assert (result.fitness >= plain.fitness * (1 - 1e-4)).all()
-    assert (result.fitness > 2 * plain.fitness).any()
+    assert (result.fitness > 2 * plain.fitness).all()
     assert (abs(result.theta) <= 5).all() and result.bits is None
 
 
