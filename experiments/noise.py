@@ -73,7 +73,7 @@ class Options:
     """controllers trained in each set; 0: the shipped controller alone."""
     generations: int = 100
     """of the preset robust (which has 200)."""
-    refine_steps: int = 450
+    refine_steps: int = 375
     """of its refinement (which has 750)."""
     population: int = 512
     """genomes."""
