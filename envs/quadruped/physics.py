@@ -73,8 +73,8 @@ def step_fn(solver: Solver) -> StepFn:
     """The physics step of the lean model under a solver.
 
     Only position and velocity are carried from step to step: without warm start nothing else
-    has a memory.  Raises ImportError where impl='warp' lacks Warp, ValueError where XLA's flags
-    would make impl='jax' abort the process.
+    has a memory.  Raises ValueError where Warp is not installed for impl='warp', or where XLA's
+    flags would make impl='jax' abort the process or its CPU devices let it hang.
     """
     model = compile_model(mjcf.LEAN, solver)
     fused = "xla_cpu_use_multi_output_fusion" in os.environ.get("XLA_FLAGS", "")
@@ -88,18 +88,24 @@ def step_fn(solver: Solver) -> StepFn:
         # jaxlib 0.10.2: "Check failed: GetNumDims() == other.GetNumResults()", an abort.
         raise ValueError(
             f"impl = 'jax' does not compile with {_FUSION}, which fntg sets: FNTG_XLA_FLAGS=off"
-            " leaves it out; or take impl = 'structured'"
+            " leaves it out; or take impl = 'structured', --env quadruped"
         )
     if solver.impl == "jax" and on_cpu and jax.local_device_count() > 1:
         # jaxlib 0.10.2: batched Cholesky factorisations on two CPU devices of one process wait for
         # each other's threads for ever.  The structured step has none.
         raise ValueError(
             "impl = 'jax' can hang on more than one CPU device in a process: run one seed a"
-            " process, or take impl = 'structured'"
+            " process, or take impl = 'structured', --env quadruped"
         )
+    if solver.impl == "warp":
+        _silence_warp()
     # Called under a trace, too: the model must still be made of constants.
     with jax.ensure_compile_time_eval():
         mjx_model = mjx.put_model(model, impl=solver.impl)
+        if solver.impl == "warp":
+            # Else it warns on stdout of every step that Newton's method stopped at the iterations
+            # it was given.
+            mjx_model = mjx_model.tree_replace({"opt._impl.warn_overflow": 0})
         data = mjx.make_data(model, impl=solver.impl)
 
     def step(qpos, qvel, ctrl):
@@ -107,6 +113,15 @@ def step_fn(solver: Solver) -> StepFn:
         return new.qpos, new.qvel
 
     return step
+
+
+def _silence_warp() -> None:
+    """No list of loaded kernels on stdout, where results go."""
+    try:
+        import warp
+    except ModuleNotFoundError:
+        raise ValueError("impl = 'warp' needs Warp: pip install 'fntg-jax[warp]'") from None
+    warp.config.log_level = warp.LOG_WARNING
 
 
 def settled(gait: Gait, solver: Solver) -> np.ndarray:
