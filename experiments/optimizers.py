@@ -4,7 +4,8 @@
 
 Our genetic algorithm (settings of the paper and of the preset robust, and with that preset's
 refinement or with gradients after it), gradients alone, evosax's CMA-ES, OpenES and SimpleGA, and
-brax's trainers, all on the smooth objective and the scene mix of the preset robust.  Success is on
+brax's trainers, all on the smooth objective and the scene mix of the preset robust.  Genes are read
+as in that preset (clip) or scaled to the range of speeds, which suits gradients.  Success is on
 unseen scenes, the mean of the suites open and blocked.  A gradient step counts three control steps
 for one (forward, forward again, backward).  Seconds are those of training alone, without
 compilation and judging.
@@ -20,7 +21,7 @@ import dataclasses
 import io
 import sys
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import tyro
@@ -50,6 +51,8 @@ class Options:
     """how often success is measured on the way."""
     eval_scenes: int = 1000
     """unseen scenes a suite."""
+    output: Literal["clip", "scale"] = "clip"
+    """how the FNTG's genes are read; does not concern networks."""
     methods: tuple[str, ...] = METHODS
     """which methods to run; the figure and the table show all that the CSV has."""
 
@@ -61,6 +64,7 @@ class Row(NamedTuple):
     seed: int
     budget: int
     eval_scenes: int
+    output: str
     parameters: int
     control_steps: int
     seconds: float
@@ -81,7 +85,7 @@ def run(options: Options) -> tuple[list[Row], list[str]]:
             raise ValueError(f"methods = {name!r}: known are {', '.join(METHODS)}")
     path = options.out / "optimizers.csv"
     rows = read(path) if path.exists() else []
-    task = Task(eval_scenes=options.eval_scenes)
+    task = Task(options.output, eval_scenes=options.eval_scenes)
     try:
         phases = optimizers_fntg.searches()
         with contextlib.redirect_stdout(io.StringIO()):  # "Failed to import warp"
@@ -89,10 +93,11 @@ def run(options: Options) -> tuple[list[Row], list[str]]:
     except ModuleNotFoundError as error:
         raise ValueError(f"needs {error.name}: pip install 'fntg-jax[compare]'") from None
     left_out = []
+    kind = (options.budget, options.eval_scenes, options.output)
     for name in options.methods:
         for seed in range(options.seeds):
-            what = (name, seed, options.budget, options.eval_scenes)
-            if any(row[:4] == what for row in rows):
+            what = (name, seed, *kind)
+            if any(row[:5] == what for row in rows):
                 continue
             print(f"{name}, seed {seed} of {options.seeds}", file=sys.stderr, flush=True)
             try:
@@ -102,8 +107,7 @@ def run(options: Options) -> tuple[list[Row], list[str]]:
                 break
             rows += [Row(*what, *more) for more in found]
             write(path, rows)
-    chosen = [r for r in rows if (r.budget, r.eval_scenes) == (options.budget, options.eval_scenes)]
-    return chosen, left_out
+    return [row for row in rows if row[2:5] == kind], left_out
 
 
 def _train(name: str, phases: Any, task: Task, seed: int, options: Options) -> list[tuple]:

@@ -38,9 +38,10 @@ class _Deterministic:
         return parameters
 
 
-def fntg_networks(make: Any, env: Any, **_: Any) -> Any:
-    """The FNTG's 31 genes as brax networks (a network factory once `make` and `env` are given):
-    parameters [31], a random fuzzy partition at the start and clipped to (-5, 5) in use."""
+def fntg_networks(make: Any, env: Any, output: fntg.Output, **_: Any) -> Any:
+    """The FNTG's 31 genes as brax networks (a network factory once the first three are given):
+    parameters [31], read as `output` says, a random fuzzy partition at the start and clipped to
+    (-5, 5) in use."""
     from brax.training.networks import FeedForwardNetwork
 
     layout = get_layout("paper-31")
@@ -52,7 +53,7 @@ def fntg_networks(make: Any, env: Any, **_: Any) -> Any:
         del normalizer  # metres and radians are what the genes mean
         params = expand(layout, jnp.clip(theta, LOW, HIGH))
         seen = fntg.Observation(*jnp.moveaxis(observation, -1, 0))
-        return env.action(fntg.command(params, seen, env.env.limits))
+        return env.action(fntg.command(params, seen, env.env.limits, output))
 
     return make(
         policy_network=FeedForwardNetwork(init, apply),
@@ -60,7 +61,9 @@ def fntg_networks(make: Any, env: Any, **_: Any) -> Any:
     )
 
 
-def _trainer(name: str, env: Any, budget: int, seed: int, checkpoints: int, length: int) -> Any:
+def _trainer(
+    name: str, env: Any, output: fntg.Output, budget: int, seed: int, checkpoints: int, length: int
+) -> Any:
     """A call of brax's trainer that lacks only its progress_fn and eval_env."""
     common: dict[str, Any] = {
         "environment": env,
@@ -84,7 +87,7 @@ def _trainer(name: str, env: Any, budget: int, seed: int, checkpoints: int, leng
                 "normalize_observations": True,
             }
             return partial(train.train, **common, **options)
-        factory = partial(_factory, networks.ESNetworks, env)
+        factory = partial(_factory, networks.ESNetworks, env, output)
         options = {"learning_rate": 0.05, "perturbation_std": 0.3, "network_factory": factory}
         return partial(train.train, **common, **options)
     if name == "brax-ppo-mlp":
@@ -103,13 +106,13 @@ def _trainer(name: str, env: Any, budget: int, seed: int, checkpoints: int, leng
     return partial(
         apg.train, **common, num_envs=num_envs, horizon_length=horizon, learning_rate=0.03,
         use_schedule=False, policy_updates=max(checkpoints, budget // (3 * num_envs * horizon)),
-        network_factory=partial(_factory, apg_networks.APGNetworks, env),
+        network_factory=partial(_factory, apg_networks.APGNetworks, env, output),
     )  # fmt: skip
 
 
-def _factory(make, env, observation_size, action_size, **options):
+def _factory(make, env, output, observation_size, action_size, **options):
     del observation_size, action_size
-    return fntg_networks(make, env, **options)
+    return fntg_networks(make, env, output, **options)
 
 
 def train(name: str, task: Task, seed: int, budget: int, checkpoints: int):
@@ -131,7 +134,7 @@ def train(name: str, task: Task, seed: int, budget: int, checkpoints: int):
         seen.append((int(steps), float(metrics.get("training/walltime", 0.0)), success))
 
     try:
-        run = _trainer(name, env, budget, seed, checkpoints, EPISODE_LENGTH)
+        run = _trainer(name, env, task.output, budget, seed, checkpoints, EPISODE_LENGTH)
         _, params, _ = run(
             eval_env=eval_env, num_eval_envs=2 * task.eval_scenes, progress_fn=progress_fn
         )

@@ -16,6 +16,8 @@ import numpy as np
 
 # A process that is silent for so long is lost.  JAX's default of 100 s is longer than a minute.
 _HEARTBEAT_SECONDS = 30
+# What a failed exchange begins with.  Where NumPy waits for it, jax 0.10.2 raises ValueError.
+_STATUS = ("UNKNOWN: ", "UNAVAILABLE: ", "INTERNAL: ", "ABORTED: ", "DEADLINE_EXCEEDED: ")
 _LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 
 
@@ -123,8 +125,11 @@ def together(advice: str) -> Iterator[None]:
     watcher.stdin.flush()
     try:
         yield
-    except jax.errors.JaxRuntimeError as error:
-        print(str(error).split("\n")[0], file=sys.stderr, flush=True)
+    except (jax.errors.JaxRuntimeError, ValueError) as error:
+        words = str(error).split("\n")[0]
+        if isinstance(error, ValueError) and not words.startswith(_STATUS):
+            raise
+        print(words, file=sys.stderr, flush=True)
         # Not by an exception, which on its way out waits for the lost one.
         os._exit(1)
     finally:
