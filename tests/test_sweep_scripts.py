@@ -33,4 +33,5 @@ def test_sweep(name, settings, tmp_path):
     assert len(rows) == settings * OPTIONS.seeds
     best = [float(row["best"]) for row in rows]
     np.testing.assert_allclose(best, table.best.ravel(), rtol=1e-6)
-    assert len(set(best)) > settings // 2  # settings differ
+    # Settings differ; `best` would tie where elitism kept a genome of generation 0.
+    assert len(set(table.mean.ravel())) > settings
