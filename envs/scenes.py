@@ -226,8 +226,10 @@ class Mix:
         for name, share in self.shares:
             if name not in SUITES:
                 raise ValueError(f"suite {name!r}: known are {', '.join(SUITES)}")
-            if not share > 0:
-                raise ValueError(f"share of suite {name} = {share}: allowed are numbers above 0")
+            if not 0 < share <= 1e6:
+                raise ValueError(
+                    f"share of suite {name} = {share}: allowed are numbers above 0, up to 1e6"
+                )
 
     def __call__(self, key: Key[Array, ""], num_scenes: int) -> Scene:
         total = sum(share for _, share in self.shares)

@@ -43,7 +43,7 @@ class Options:
     generations: int = 0
     """generations of both presets; 0 for each preset's own."""
     gradient_steps: int = 600
-    """steps of gradient descent alone: in the time that robust takes, roughly."""
+    """steps of gradient descent alone."""
     gradient_starts: int = 16
     """random starts of a seed; the best validated one counts."""
     scenes: int = 2000
@@ -91,7 +91,9 @@ def ablations(preset: TrainConfig) -> dict[str, TrainConfig]:
             value = getattr(plain, field.name)
             if field.name not in _FIXED and not dataclasses.is_dataclass(value):
                 without(field.name, group, value)
-    without("suite", "", "open")  # no obstacle in the way
+    without("suite", "", "open")  # no obstacle in the way, no ball that rolls
+    if "moving-ball" in preset.suite:
+        without("suite", "", "open:2,blocked:3")  # no ball that rolls
     without("gate", "smooth", 1000.0)  # stopping always counts
     without("margin", "smooth", 0.145)  # no more clearance than what counts
     return found

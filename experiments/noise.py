@@ -73,8 +73,8 @@ class Options:
     """controllers trained in each set; 0: the shipped controller alone."""
     generations: int = 100
     """of the preset robust (which has 200)."""
-    refine_steps: int = 375
-    """of its refinement (which has 750)."""
+    refine_steps: int = 500
+    """of its refinement (which has 1000)."""
     population: int = 512
     """genomes."""
     scenes: int = 1000

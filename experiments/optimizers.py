@@ -4,11 +4,11 @@
 
 Our genetic algorithm (settings of the paper and of the preset robust, and with that preset's
 refinement or with gradients after it), gradients alone, evosax's CMA-ES, OpenES and SimpleGA, and
-brax's trainers, all on the smooth objective and the scene mix of the preset robust.  Genes are read
-as in that preset (clip) or scaled to the range of speeds, which suits gradients.  Success is on
-unseen scenes, the mean of the suites open and blocked.  A gradient step counts three control steps
-for one (forward, forward again, backward).  Seconds are those of training alone, without
-compilation and judging.
+brax's trainers, all on the smooth objective of the preset robust and on open and blocked scenes.
+Genes are read as in that preset (clip) or scaled to the range of speeds, which suits gradients.
+Success is on unseen scenes, the mean of the suites open and blocked.  A gradient step counts three
+control steps for one (forward, forward again, backward).  Seconds are those of training alone,
+without compilation and judging.
 
 Results are added to optimizers.csv as each run ends; runs that are in it are not repeated.  brax's
 networks go faster without our XLA flags: run those methods first, with FNTG_XLA_FLAGS=off and

@@ -24,8 +24,8 @@ import numpy as np
 import tyro
 
 import fntg_jax
+from experiments import script
 from fntg_jax import evaluation, export, fitness, fntg, ga, genome, plots, warmstart, xla
-from fntg_jax.cli import refuse
 from fntg_jax.layout import expand, get_layout
 from fntg_jax.rollout import Outcome, outcome_of, rollout_pairs
 from fntg_jax.settings import get_world
@@ -155,7 +155,7 @@ def judge_full(stage, controller, config: Config) -> tuple[list[Row], list[Failu
     rows, failures = [], []
     for suite in ("open", "blocked"):
         scenes = evaluation.held_out_scenes(world, suite, config.full_scenes)
-        run = native.run(env, scenes, control, "full")
+        run = native.run(env, scenes, lambda seen, _: control(seen), "full")
         judged = jax.vmap(outcome_of, in_axes=(1, 1, 0))
         outcome = jax.tree.map(np.asarray, judged(run.observation, run.command, run.fallen[-1]))
         parts = fitness.success(outcome)
@@ -226,8 +226,13 @@ def _say(row: Row) -> None:
 
 def run(config: Config) -> tuple[list[Row], list[Failure]]:
     """Train (or load), judge, fine-tune in physics, judge again."""
+    script.check_least(
+        config,
+        **dict.fromkeys(("population", "fine_population"), 2),
+        **dict.fromkeys(("generations", "fine_generations", "num_scenes", "fine_scenes"), 1),
+        **dict.fromkeys(("eval_scenes", "full_scenes"), 1),
+    )
     first = None if config.controller is None else fntg_jax.load(config.controller)
-    config.out.mkdir(parents=True, exist_ok=True)
     kinematic, physics = get_world("kinematic"), get_world("quadruped")
     settings = ga.GAConfig(population=config.population, selection="rank", mutation_rate=0.004)
     if first is None:
@@ -236,7 +241,7 @@ def run(config: Config) -> tuple[list[Row], list[Failure]]:
             kinematic.make(capture=CAPTURE), kinematic, layout, None, settings,
             config.generations, config.num_scenes, config.seed, "kinematic", "scale",
         )  # fmt: skip
-        first = export.from_bits(layout, np.asarray(best))
+        first = export.from_bits(layout, np.asarray(best), provenance={"env": "kinematic"})
         export.save(first, config.out / "kinematic.json")
     rows = judge("kinematic", first, config)
     full, failures = judge_full("kinematic", first, config)
@@ -249,7 +254,12 @@ def run(config: Config) -> tuple[list[Row], list[Failure]]:
         config.fine_generations, config.fine_scenes, config.seed + 10, "physics", first.output,
     )  # fmt: skip
     tuned = export.from_bits(
-        first.layout, np.asarray(best), limits=first.limits, output=first.output
+        first.layout,
+        np.asarray(best),
+        limits=first.limits,
+        output=first.output,
+        control_dt=first.control_dt,
+        provenance={"env": "quadruped"},
     )
     export.save(tuned, config.out / "fine-tuned.json")
     rows += full + judge("fine-tuned", tuned, config)
@@ -260,7 +270,7 @@ def run(config: Config) -> tuple[list[Row], list[Failure]]:
 def main(argv: list[str] | None = None) -> None:
     config = tyro.cli(Config, args=argv)
     xla.configure()
-    try:
+    with script.folder(config.out):
         rows, failures = run(config)
         with (config.out / "transfer.csv").open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
@@ -269,10 +279,6 @@ def main(argv: list[str] | None = None) -> None:
         if failures:
             draw_failures(failures, config.out / "failures.png")
             print(config.out / "failures.png")
-    except ValueError as error:
-        refuse(str(error))
-    except OSError as error:
-        refuse(f"out = {config.out}: {error.strerror or error}")
 
 
 if __name__ == "__main__":

@@ -20,7 +20,9 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
+from experiments import script
 from fntg_jax import ga, genome, xla
+from fntg_jax.cli import refuse
 
 # Gene -> (least, largest) value.
 GENES = {
@@ -126,7 +128,7 @@ def steady_full(env) -> Track:
     ball = np.tile(np.array([1.2, 0.75], np.float32), (num, 1))
     scenes = Scene(start, ball, np.zeros((num, 0, 3), np.float32), seed=np.zeros(num, int))  # type: ignore[arg-type]
     held = Walk(*jnp.asarray(COMMANDS[:, [0, 2, 1]]).T)
-    run = native.run(env, scenes, lambda seen: held, "full", num_steps=steps)
+    run = native.run(env, scenes, lambda *_: held, "full", num_steps=steps)
     path = jnp.asarray(run.qpos.swapaxes(0, 1), jnp.float32)
     return jax.vmap(partial(track, joint_speed=jnp.nan, dt=env.dt))(path, run.fallen[-1])
 
@@ -142,6 +144,26 @@ def random_sequences(key, num: int, num_steps: int):
 def falls(env, key, num: int = 100, num_steps: int = 220) -> Track:
     """Random command sequences of 22 s.  Leaves [num]."""
     return jax.vmap(partial(walk, env))(random_sequences(key, num, num_steps))
+
+
+def falls_full(env, key, num: int = 100, num_steps: int = 220) -> np.ndarray:
+    """`falls` in the full model, from the field's centre, walls around and the ball in a corner:
+    who fell [num]."""
+    from envs.base import Scene
+    from envs.quadruped import native
+
+    commands = random_sequences(key, num, num_steps)
+    zero = np.zeros((num, 3), np.float32)
+    ball = np.tile(np.array([1.2, 0.75], np.float32), (num, 1))
+    scenes = Scene(zero, ball, np.zeros((num, 0, 3), np.float32), seed=np.zeros(num, int))  # type: ignore[arg-type]
+    run = native.run(
+        env,
+        scenes,
+        lambda _, n: Walk(*commands[:, n].T[jnp.asarray([0, 2, 1])]),
+        "full",
+        num_steps=num_steps,
+    )
+    return run.fallen[-1]
 
 
 def errors(walks: Track, commands) -> tuple[Any, Any]:
@@ -186,10 +208,11 @@ class Config:
     Attributes:
         what: evolve, table, speed or falls.
         goal: what to evolve: tracking of commands, or forward speed.
-        gait: gait to start from or to look at; default the shipped one.
+        gait: gait to look at, and where an evolved one has what does not evolve from (v_rate,
+            omega_rate); default the shipped one.
         out: where the evolved gait goes.
         csv: where the table goes, too.
-        variant: model that the table is of.
+        variant: model of the table and of falls.
         population, generations, seed: of the genetic algorithm.
     """
 
@@ -241,6 +264,24 @@ def table(env, variant: str = "lean") -> list[dict[str, float]]:
 
 def main(argv: list[str] | None = None) -> None:
     config = tyro.cli(Config, args=argv)
+    try:
+        _main(config)
+    except ValueError as error:
+        refuse(str(error))
+
+
+def _check(config: Config) -> None:
+    script.check_least(config, population=4, generations=1, seed=0)
+    if config.what in ("evolve", "speed") and config.variant == "full":
+        raise ValueError(f"variant = 'full': allowed with {config.what} is lean")
+    for name in ("out", "csv"):
+        path = getattr(config, name)
+        if path is not None and (path.is_dir() or not path.parent.is_dir()):
+            raise ValueError(f"{name} = {path}: allowed is a file in a folder that exists")
+
+
+def _main(config: Config) -> None:
+    _check(config)
     xla.configure()
     from envs.quadruped.environment import Quadruped
     from envs.quadruped.locomotion import DEFAULT_GAIT, load_gait
@@ -280,8 +321,10 @@ def main(argv: list[str] | None = None) -> None:
                 f" rad/s, joints up to {joint:.1f} rad/s{', fell' if fell else ''}"
             )
     else:
-        fallen = jax.jit(falls)(env, jax.random.key(config.seed)).fallen
-        print(f"{int(fallen.sum())} falls in {fallen.shape[0]} sequences of 22 s")
+        key = jax.random.key(config.seed)
+        full = config.variant == "full"
+        fallen = falls_full(env, key) if full else jax.jit(falls)(env, key).fallen
+        print(f"{int(fallen.sum())} falls in {len(fallen)} sequences of 22 s, {config.variant}")
 
 
 if __name__ == "__main__":

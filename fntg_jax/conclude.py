@@ -53,7 +53,7 @@ def _choose(state, floats, scenes, validation, *, config, static, mesh):
 
     def one_seed(shared, bits, seed_floats):
         scenes, validation = shared
-        few = jax.tree.map(lambda x: x[:_SCREENING], validation)
+        few = jax.tree.map(_spread, validation)
         traced = seed_floats._replace(scenes=scenes)
         theta = genome.decode(bits, config.ga.num_bits, config.ga.gray)
         # A screening on few scenes, then the best of each island on all.
@@ -70,6 +70,11 @@ def _choose(state, floats, scenes, validation, *, config, static, mesh):
         return theta[rows[leaders]], value[leaders], rows[leaders[0]]
 
     return over_seeds(one_seed, mesh)((scenes, validation), (state.bits, floats))
+
+
+def _spread(x):
+    """At most `_SCREENING` rows of x, evenly spread: a mix comes suite by suite."""
+    return x[:: -(-len(x) // _SCREENING)]
 
 
 def _compiled(run, program, arguments):

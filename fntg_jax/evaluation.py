@@ -78,9 +78,9 @@ def held_out_suites(world: Any) -> list[str]:
 
 def held_out_scenes(world: Any, suite: str, num_scenes: int, seed: int = 0) -> Any:
     """`num_scenes` scenes of a suite; asking for more leaves the first ones as they are.
-    Raises ValueError on an unknown suite or fewer than one scene."""
-    if num_scenes < 1:
-        raise ValueError(f"scenes = {num_scenes}: allowed are whole numbers from 1")
+    Raises ValueError on an unknown suite or number of scenes."""
+    if not 1 <= num_scenes < 2**31:
+        raise ValueError(f"scenes = {num_scenes}: allowed are whole numbers from 1 below 2^31")
     if suite not in world.suites:
         raise ValueError(f"suite = {suite!r}: known are {', '.join(world.suites)}")
     if not 0 <= seed < 2**32:

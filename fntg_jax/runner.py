@@ -91,7 +91,7 @@ class Run:
         # All seeds share the pool, so that a seed's result does not depend on its company.
         scenes, validation = _draw(get_suite(self.world, config.suite), config)
         self.scenes = self._place(scenes, P())
-        self.validation = self._place(validation, P()) if config.scene_pool else self.scenes
+        self.validation = self.scenes if validation is scenes else self._place(validation, P())
         self.compile_seconds = 0.0
         self.origin = ""  # of the first populations, in words; "" if they are random
         self.restart(variants or (config,))
@@ -215,11 +215,14 @@ class Run:
 
 
 def _draw(suite, config: TrainConfig):
-    """Scenes of training, and those of validation: the same where they are few and fixed."""
+    """Scenes of training, and those of validation.  They are the same where nothing is validated,
+    and in the suite `paper`, which has its four starts and no others."""
     key = jax.random.key(_POOL_KEY)
     if config.scene_pool == 0:
         scenes = suite(key, config.num_scenes)
-        return scenes, scenes
+        if config.refine_steps == 0 or config.suite == "paper":
+            return scenes, scenes
+        return scenes, suite(jax.random.fold_in(key, 1), _VALIDATION)
     # One draw, which takes seconds to compile.  A mix comes suite by suite: evenly spread rows
     # hold all of them.
     size = config.scene_pool + _VALIDATION

@@ -74,10 +74,11 @@ class TrainConfig:
 PRESETS = {
     # Faithful to the paper, Section "Genetic learning".
     "paper": TrainConfig(),
-    # For scenes never seen in training.
+    # For scenes never seen in training.  Balls that roll in the mix also help where they lie still:
+    # blocked 99.73 -> 99.82 %, moving-ball 98.8 -> 99.4 % (means, seeds 10 to 19).
     "robust": TrainConfig(
         output="clip",
-        suite="open:2,blocked:3",
+        suite="open:1,blocked:3,moving-ball:1",
         num_scenes=32,
         scene_pool=16384,
         objective="smooth",
@@ -94,7 +95,7 @@ PRESETS = {
             crossover_rate=0.9,
             num_elites=2,
         ),
-        refine_steps=750,
+        refine_steps=1000,
         refine_method="cma",
         refine_scenes=64,
         refine_top=2,
@@ -125,10 +126,10 @@ def validate(config: TrainConfig) -> None:
     get_layout(config.layout)
     fntg.output_gains(fntg.Limits(), config.output)
     ga.validate(config.ga)
-    if 0 < config.scene_pool < config.num_scenes:
+    if config.scene_pool and not config.num_scenes <= config.scene_pool <= _MOST_SCENES:
         raise ValueError(
             f"scene_pool = {config.scene_pool}: allowed are 0 and numbers from num_scenes = "
-            f"{config.num_scenes}"
+            f"{config.num_scenes} to {_MOST_SCENES}"
         )
     if not 0 < config.refine_rate <= 1:
         raise ValueError(
@@ -156,6 +157,7 @@ def validate(config: TrainConfig) -> None:
     world.make(**config.env_options)
 
 
+_MOST_SCENES = 10_000_000  # of a pool: about a GB
 _WORDS = {
     "objective": ("paper", "smooth"),
     "initial": ("uniform", "partition"),

@@ -234,11 +234,14 @@ def refused(capsys, tmp_path, monkeypatch):
         (("--seeds", -1), ("seeds", "-1")),
         (("--first-seed", 2**32), ("first_seed", "4294967296")),
         (("--num-scenes", 0), ("num_scenes", "0")),
+        (("--scene-pool", 3 * 10**9), ("scene_pool", "10000000")),
+        (("--suite", "open:1e308,blocked:1"), ("share of suite open", "1e+308", "1e6")),
         (("--output", "tanh"), ("tanh", "scale", "clip")),
         (("--suite", "moon"), ("moon", "open")),
         (("--env", "moon"), ("moon", "kinematic")),
         (("--env-options", "dt", 0), ("dt", "0.001")),
         (("--env-options", "gravity", 9.81), ("gravity", "latency")),
+        (("--env", "quadruped", "--env-options", "impl", 1), ("'impl'", "v_min")),
         (("--fitness.gamma", 0), ("gamma",)),
         (("--preset", "moon"), ("moon", "paper")),
         (("--colour", "red"), ("colour",)),
@@ -272,6 +275,7 @@ def test_bad_paths_and_files_are_refused(refused, finished, tmp_path):
     assert "seed = 7" in refused("export", folder, tmp_path / "x.json", "--seed", 7)
     assert "moon" in refused("evaluate", folder, "--suite", "moon")
     assert "scenes = 0" in refused("evaluate", folder, "--scenes", 0)
+    assert "scenes = 3000000000" in refused("evaluate", folder, "--scenes", 3 * 10**9)
     assert "'fly'" in refused("fly")
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fntg_jax import fitness, ga, genome, objective, runner, settings
+from fntg_jax import conclude, fitness, ga, genome, objective, runner, settings
 from fntg_jax.layout import get_layout
 from fntg_jax.rollout import Outcome
 
@@ -101,6 +101,23 @@ def test_the_final_controller_is_the_best_of_its_population_on_validation_scenes
         scores = value(theta)
         np.testing.assert_allclose(result.fitness[n], scores.max(), rtol=1e-4)
         np.testing.assert_allclose(result.theta[n], theta[scores.argmax()], atol=1e-6)
+
+
+def test_the_first_look_at_a_population_is_on_every_suite_of_the_mix():
+    suites = np.repeat([0, 1], [819, 1229])  # validation scenes come suite by suite
+    seen = conclude._spread(suites)
+    assert len(seen) == 256 and (seen == 0).sum() == 103
+    np.testing.assert_array_equal(conclude._spread(np.arange(3)), np.arange(3))
+
+
+def test_refinement_on_few_fixed_scenes_is_validated_on_others():
+    config = settings.TrainConfig(suite="open", refine_steps=10)
+    run = runner.Run(config)
+    assert len(run.scenes.start) == 4 and len(run.validation.start) == 2048
+    assert not (np.asarray(run.scenes.start)[:, None] == run.validation.start).all(-1).any()
+    # The paper has its four starts and no others.
+    run = runner.Run(dataclasses.replace(config, suite="paper"))
+    assert run.validation is run.scenes
 
 
 def barely_evolved(**options):

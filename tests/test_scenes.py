@@ -140,7 +140,7 @@ def test_mix_keeps_its_shares_and_joins_still_with_moving():
 def test_a_bad_mix_is_refused():
     with pytest.raises(ValueError, match=r"'shut'.*open.*blocked"):
         scenes.Mix((("shut", 1.0),))
-    for share in (0.0, -1.0, float("nan")):
+    for share in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match=r"share of suite open = .*above 0"):
             scenes.Mix((("open", share),))
 

@@ -18,7 +18,7 @@ _OTHER = {"dt": (0.01, 1), "ball_deceleration": (0, 10)}
 _TIMESTEP = 0.01  # s, of physics
 
 
-def make(impl: str = "structured", **options: float) -> Any:
+def make(impl: str = "structured", /, **options: float) -> Any:
     """A `Quadruped` from flat options by name: dt (whole hundredths of a
     second); v_min, v_max, omega_max; ball_deceleration.
 

@@ -31,6 +31,7 @@ LOW, HIGH = np.asarray(c.LEG_LOW, np.float32), np.asarray(c.LEG_HIGH, np.float32
 THIGH = math.hypot(c.UPPER_LEG, c.KNEE_OFFSET)
 KNEE_ANGLE = math.atan2(c.KNEE_OFFSET, c.UPPER_LEG)
 DIAGONAL = np.asarray([0.0, 0.5, 0.5, 0.0], np.float32)  # phase of each leg in a trot
+_POSITIVE = ("period", "duty", "height", "v_rate", "omega_rate", "full_lift")
 DEFAULT_GAIT = Path(__file__).parent / "data" / "trot.json"
 
 
@@ -42,8 +43,7 @@ class Gait:
     period: s.  duty: share of it on the ground.  lift: height of a step, m.  height: shoulders
     above the floor, m.  fore_x, hind_x: where the feet stand ahead of their shoulder, m.
     fore_y, hind_y: how far outside, m.  tilt: by how much the fore shoulders are lower, m.
-    gain_*: stride per wanted displacement (feet slip, so more than 1 is needed); turn_*: share of
-    the turning stride along x and y; drift_x: stride speed that keeps stepping on the spot, m/s.
+    gain_*: stride per wanted displacement.
     v_rate, omega_rate: how fast strides may change, m/s^2 and rad/s^2.
     full_lift: speed of a foot from which on steps have their full height, m/s: below it the dog
     treads less, and without a command it stands.
@@ -69,13 +69,26 @@ class Gait:
 def load_gait(path: Path | str = DEFAULT_GAIT) -> Gait:
     """A gait from its JSON file (names and values of `Gait`; those not named keep defaults).
 
-    Raises ValueError if the file names a parameter that does not exist.
+    Raises ValueError (one line) where the file, a name or a value is not what is allowed.
     """
-    values = json.loads(Path(path).read_text(encoding="utf-8"))["gait"]
+    try:
+        values = json.loads(Path(path).read_text(encoding="utf-8"))["gait"]
+        values = {name: float(value) for name, value in values.items()}
+    except OSError as error:
+        raise ValueError(f"gait = {path}: {error.strerror or error}") from None
+    except (ValueError, TypeError, KeyError, AttributeError):
+        raise ValueError(
+            f"gait = {path}: allowed is a JSON file with numbers by name under 'gait'"
+        ) from None
     known = {f.name for f in dataclasses.fields(Gait)}
     if unknown := sorted(set(values) - known):
         raise ValueError(f"gait {path}: unknown {unknown}; allowed are {sorted(known)}")
-    return Gait(**{name: float(value) for name, value in values.items()})
+    for name, value in values.items():
+        if not math.isfinite(value):
+            raise ValueError(f"gait {path}: {name} = {value}; allowed are finite numbers")
+        if name in _POSITIVE and value <= 0:
+            raise ValueError(f"gait {path}: {name} = {value}; allowed are numbers above 0")
+    return Gait(**values)
 
 
 def leg_forward(q: Float[Array, "*b 4 3"]) -> Float[Array, "*b 4 3"]:

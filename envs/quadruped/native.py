@@ -43,13 +43,14 @@ class Episode(NamedTuple):
 def run(
     env: Quadruped,
     scenes: Scene,
-    control: Callable[[Any], Any],
+    control: Callable[[Any, Any], Any],
     variant: str = mjcf.LEAN,
     num_steps: int = 220,
     num_threads: int = 2,
     poses: int = 1,
 ) -> Episode:
-    """Drive a batch of scenes.  control: observation (leaves [scenes]) -> command, jitted here.
+    """Drive a batch of scenes.  control: (observation, leaves [scenes]; index of the control
+    step) -> command, jitted here.
 
     poses: how many a control step are kept in `path`; a divisor of the solver's substeps.
     The full variant takes each obstacle's radius into the model, so that it is compiled once a
@@ -75,9 +76,9 @@ def run(
     measure = jax.jit(jax.vmap(env.measure))
 
     @jax.jit
-    def before(state):
+    def before(state, n):
         seen = measure(state)
-        command = control(seen)
+        command = control(seen, n)
         v_y = getattr(command, "v_y", jnp.zeros_like(command.v))
         wanted = jnp.stack([command.v, v_y, command.omega], axis=1)
         stride, targets = jax.vmap(env.targets)(state, wanted)
@@ -94,9 +95,9 @@ def run(
     commands, paths = [], []
     every = env.solver.substeps // poses
     with mujoco_rollout.Rollout(nthread=num_threads) as pool:
-        for _ in range(num_steps):
+        for n in range(num_steps):
             record.append(_row(seen, qpos, state))
-            _, command, stride, targets = before(state)
+            _, command, stride, targets = before(state, n)
             commands.append(jax.tree.map(np.asarray, command))
             initial = np.zeros((num, size))
             # Layout of the state vector: time, qpos, qvel.

@@ -35,7 +35,8 @@ class Solver:
     """How physics is computed.  Static: another value is another compiled program.
 
     impl: see above.  timestep: s.  substeps: of a control step.  iterations, ls_iterations: of
-    Newton's method and its line search.  The defaults are the fastest that are stable.
+    Newton's method and its line search; impl='structured' has 1 and, to the same precision, a line
+    search of its own.  The defaults are the fastest that are stable.
     """
 
     impl: str = "structured"
@@ -94,8 +95,9 @@ def step_fn(solver: Solver) -> StepFn:
         # jaxlib 0.10.2: batched Cholesky factorisations on two CPU devices of one process wait for
         # each other's threads for ever.  The structured step has none.
         raise ValueError(
-            "impl = 'jax' can hang on more than one CPU device in a process: run one seed a"
-            " process, or take impl = 'structured', --env quadruped"
+            "impl = 'jax' can hang on more than one CPU device in a process: set"
+            " XLA_FLAGS=--xla_force_host_platform_device_count=1, or take impl = 'structured',"
+            " --env quadruped"
         )
     if solver.impl == "warp":
         _silence_warp()

@@ -36,7 +36,9 @@ class FullFilm:
         substeps = env.solver.substeps
         wanted = max(1, round(env.dt / _FRAME_SECONDS))
         poses = max(n for n in range(1, wanted + 1) if substeps % n == 0)
-        run = native.run(env, scenes, jax.vmap(control), mjcf.FULL, poses=poses)
+        run = native.run(
+            env, scenes, lambda seen, _: jax.vmap(control)(seen), mjcf.FULL, poses=poses
+        )
         self.measured, self.command, self.failed = run.observation, run.command, run.fallen[-1]
         self.dt = env.dt / poses
         start = run.qpos[0]

@@ -90,7 +90,7 @@ def _rendering() -> list[str]:
     if backend:
         return [f"rendering: MUJOCO_GL={backend}"]
     if platform.system() == "Linux" and not os.environ.get("DISPLAY"):
-        return ["rendering: no display; set MUJOCO_GL=egl (or osmesa) to draw with MuJoCo"]
+        return ["rendering: no display; MuJoCo draws with EGL, or as MUJOCO_GL says (osmesa)"]
     return ["rendering: MuJoCo's default for this display"]
 
 

@@ -24,8 +24,8 @@ class EvaluateOptions:
     """scenes a suite."""
     seed: int = 0
     """seed of the scenes."""
-    env: str = "kinematic"
-    """world, by its entry point name."""
+    env: str = ""
+    """world, by its entry point name; default: where the controller was trained."""
     env_options: dict[str, float] = dataclasses.field(default_factory=dict)
     """options of that world by name, over the controller's own limits and control step."""
     json: bool = False
@@ -43,15 +43,17 @@ def main(argv: list[str]) -> None:
     from fntg_jax import evaluation, settings
 
     controller = load_controller(options.controller)
-    world = settings.get_world(options.env)
+    name = options.env or controller.env
+    world = settings.get_world(name)
     if options.suite != "all" and options.suite not in world.suites:
         raise ValueError(f"suite = {options.suite!r}: known are all, {', '.join(world.suites)}")
     env = evaluation.environment_for(controller, world, **options.env_options)
-    names = evaluation.held_out_suites(world) if options.suite == "all" else [options.suite]
+    suites = evaluation.held_out_suites(world) if options.suite == "all" else [options.suite]
     results = [
-        evaluation.evaluate(controller, world, name, options.scenes, options.seed, env)
-        for name in names
+        evaluation.evaluate(controller, world, suite, options.scenes, options.seed, env)
+        for suite in suites
     ]
+    say(f"world {name}")
     if picture is not None:
         from fntg_jax import failures
 

@@ -58,7 +58,7 @@ def main(argv: list[str]) -> None:
         else:
             titled.append((path.name if folder else str(path), load_controller(path)))
     trials = [
-        (title, controller, settings.get_world(options.env or _own_world(controller)))
+        (title, controller, settings.get_world(options.env or controller.env))
         for title, controller in titled
     ]
     num = len(trials) * len(options.scene)
@@ -72,12 +72,6 @@ def main(argv: list[str]) -> None:
         _film(trials, options)
     else:
         _draw(trials, options)
-
-
-def _own_world(controller: Any) -> str:
-    """Where it was trained; for controllers that do not say so, the paper's world."""
-    env = controller.provenance.get("env")
-    return env if isinstance(env, str) else "kinematic"
 
 
 def _recorded(record: Any, trials: Any, options: ReplayOptions, **more: Any) -> list:

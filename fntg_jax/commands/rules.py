@@ -24,8 +24,8 @@ class RulesOptions:
     """number of scenes."""
     seed: int = 0
     """seed of the scenes."""
-    env: str = "kinematic"
-    """world, by its entry point name."""
+    env: str = ""
+    """world, by its entry point name; default: where the controller was trained."""
     format: Literal["text", "md", "json", "csv"] = "text"
     """what to print."""
 
@@ -36,6 +36,6 @@ def main(argv: list[str]) -> None:
     from fntg_jax import rules, settings
 
     controller = load_controller(options.controller)
-    world = settings.get_world(options.env)
+    world = settings.get_world(options.env or controller.env)
     base = rules.rule_base(controller, world, options.suite, options.scenes, options.seed)
     sys.stdout.write(rules.FORMATS[options.format](base))

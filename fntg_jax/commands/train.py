@@ -235,4 +235,4 @@ def generation_bar(run: Any):
 
 def _words(p: Any) -> str:
     speed = p.control_steps / max(p.seconds, 1e-9)
-    return f"best {p.best:.3g}  average {p.mean:.3g}  {speed / 1e6:.1f} M control steps/s"
+    return f"best {p.best:.3g}  average {p.mean:.3g}  {speed / 1e6:.3g} M control steps/s"

@@ -32,6 +32,12 @@ class Controller:
     bits: str | None = None
     provenance: dict[str, Any] = dataclasses.field(default_factory=dict)
 
+    @property
+    def env(self) -> str:
+        """The world it was trained in; of a controller that does not say so, the paper's."""
+        env = self.provenance.get("env")
+        return env if isinstance(env, str) else "kinematic"
+
     @cached_property
     def params(self) -> Params:
         """The full parameter set, NumPy float64: exactly the genes and their negatives."""

@@ -50,13 +50,20 @@ def to_dict(controller: Controller) -> dict[str, Any]:
             "control_dt": "s",
         },
         "genes": [
-            {"name": g.name, "symbol": g.symbol, "unit": g.unit} for g in controller.layout.genes
+            {"name": g.name, "symbol": g.symbol, "unit": _unit(g.unit, controller.output)}
+            for g in controller.layout.genes
         ],
         "provenance": controller.provenance,
     }
     if controller.bits is not None:
         document["bits"] = controller.bits
     return document
+
+
+def _unit(unit: str, output: str) -> str:
+    """Of a gene, as the outputs read it."""
+    read = {"v_max/5": "m/s", "omega_max/5": "rad/s"} if output == "clip" else {}
+    return read.get(unit, unit)
 
 
 def dumps(controller: Controller) -> str:

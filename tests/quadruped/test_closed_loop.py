@@ -37,7 +37,7 @@ def test_closed_loop_ranks_like_c_over_240_roll_outs():
     ours = jax.jit(lambda t, s: rollout_pairs(LAYOUT, t, s, env))(theta, scenes)
     params = expand(LAYOUT, jnp.repeat(theta, 4, axis=0))
     control = jax.vmap(lambda p, seen: fntg.command(p, seen, env.limits))
-    episode = native.run(env, _flat(scenes, 60), lambda seen: control(params, seen))
+    episode = native.run(env, _flat(scenes, 60), lambda seen, _: control(params, seen))
     steps = np.array([170, 200, 220])
     theirs = Outcome(
         distance=episode.observation.d_ball[steps].T,

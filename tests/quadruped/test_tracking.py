@@ -2,6 +2,8 @@
 
 import csv
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -52,3 +54,52 @@ def test_the_committed_tables_are_what_is_computed(variant, name):
     for found, row in zip(tune_gait.table(make(), variant), rows_of(name), strict=True):
         for key in ("got_v_x", "got_v_y", "got_omega"):
             assert found[key] == pytest.approx(row[key], abs=0.01)
+
+
+@pytest.mark.slow
+def test_no_fall_in_a_hundred_random_command_sequences():
+    fallen = jax.jit(tune_gait.falls)(make(), jax.random.key(0)).fallen
+    assert fallen.shape == (100,) and not fallen.any()
+
+
+def test_falls_in_the_full_model_are_counted(monkeypatch):
+    # Commands on and on ahead into a wall, for two dogs and half a second.
+    ahead = jnp.tile(jnp.asarray([0.2, 0.0, 0.0]), (2, 5, 1))
+    monkeypatch.setattr(tune_gait, "random_sequences", lambda *_: ahead)
+    fallen = tune_gait.falls_full(make(), jax.random.key(0), num=2, num_steps=5)
+    assert fallen.shape == (2,) and not fallen.any()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[]", "allowed is a JSON file with numbers by name under 'gait'"),
+        ('{"gait": {"period": "x"}}', "allowed is a JSON file with numbers by name under 'gait'"),
+        ('{"gait": {"period": 0}}', "period = 0.0; allowed are numbers above 0"),
+        ('{"gait": {"lift": NaN}}', "lift = nan; allowed are finite numbers"),
+        ('{"gait": {"legs": 4}}', "unknown ['legs']"),
+    ],
+)
+def test_a_wrong_gait_is_one_line_and_status_2(text, message, tmp_path, capsys):
+    path = tmp_path / "gait.json"
+    path.write_text(text)
+    with pytest.raises(SystemExit) as stop:
+        tune_gait.main(["table", "--gait", str(path)])
+    error = capsys.readouterr().err
+    assert stop.value.code == 2 and message in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["evolve", "--population", "0"], "population = 0: allowed are numbers from 4"),
+        (["speed", "--variant", "full"], "variant = 'full': allowed with speed is lean"),
+        (["evolve", "--out", "/missing/g.json"], "allowed is a file in a folder that exists"),
+        (["table", "--gait", "missing.json"], "gait = missing.json: No such file"),
+    ],
+)
+def test_wrong_options_are_one_line_and_status_2(arguments, message, capsys):
+    with pytest.raises(SystemExit) as stop:
+        tune_gait.main(arguments)
+    error = capsys.readouterr().err
+    assert stop.value.code == 2 and message in error and error.count("\n") == 1
