@@ -56,6 +56,7 @@ def test_resumed_is_uninterrupted(tmp_path):
     folder = tmp_path / "part"
     runfolder.create(folder, config)
     run = runner.Run(config)
+    run.compile()
     run.advance()
     assert run.generation < 3
     runfolder.save_checkpoint(folder, run)
