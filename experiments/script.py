@@ -11,11 +11,15 @@ from fntg_jax.cli import refuse
 @contextlib.contextmanager
 def folder(out: Path) -> Iterator[None]:
     """Make the folder; a ValueError or an unwritable folder ends the script with one line and
-    status 2."""
+    status 2, and leaves no new empty folder behind."""
+    new = not out.exists()
     try:
         out.mkdir(parents=True, exist_ok=True)
         yield
     except ValueError as error:
+        if new:
+            with contextlib.suppress(OSError):  # what is not empty stays
+                out.rmdir()
         refuse(str(error))
     except OSError as error:
         refuse(f"out = {out}: {error.strerror or error}")
