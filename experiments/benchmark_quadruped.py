@@ -12,13 +12,16 @@ FNTG_XLA_FLAGS=off, the structured step needs the flags: two runs.  On a GPU:
 import dataclasses
 import time
 from pathlib import Path
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
 
+from experiments import script
 from fntg_jax import xla
+from fntg_jax.cli import refuse
 
 GENERATION = 60 * 4 * 220 * 10  # physics steps
 
@@ -28,14 +31,14 @@ class Config:
     """What to time.
 
     Attributes:
-        impls: structured, jax, warp, native (MuJoCo's C code).
+        impls: our step, stock MJX, MJX on Warp, MuJoCo's C code.
         batches: environments side by side.
         control_steps: length of a timed roll-out.
         num_threads: of the native code.
         csv: where the table goes, too.
     """
 
-    impls: tuple[str, ...] = ("structured", "native")
+    impls: tuple[Literal["structured", "jax", "warp", "native"], ...] = ("structured", "native")
     batches: tuple[int, ...] = (1, 16, 60, 240)
     control_steps: int = 44
     num_threads: int = 1
@@ -96,6 +99,13 @@ def time_native(batch: int, control_steps: int, num_threads: int) -> tuple[float
 
 
 def run(config: Config) -> list[dict]:
+    """The rows, printed as they come.  Raises ValueError on bad options."""
+    script.check_least(config, control_steps=1, num_threads=1)
+    if not config.impls:
+        raise ValueError("impls = (): allowed is one back end or more")
+    if min(config.batches, default=0) < 1:
+        raise ValueError(f"batches = {config.batches}: allowed are numbers from 1")
+    script.check_files(config, "csv")
     rows = []
     for impl in config.impls:
         for batch in config.batches:
@@ -115,7 +125,10 @@ def main(argv: list[str] | None = None) -> None:
     config = tyro.cli(Config, args=argv)
     xla.configure()
     print(f"{jax.devices()}", flush=True)
-    rows = run(config)
+    try:
+        rows = run(config)
+    except ValueError as error:
+        refuse(str(error))
     if config.csv is not None:
         lines = [",".join(rows[0])] + [",".join(map(str, row.values())) for row in rows]
         config.csv.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -30,3 +30,11 @@ def check_least(options: Any, **least: int) -> None:
     for name, allowed in least.items():
         if (value := getattr(options, name)) < allowed:
             raise ValueError(f"{name} = {value}: allowed are numbers from {allowed}")
+
+
+def check_files(options: Any, *names: str) -> None:
+    """Raises ValueError (option, value, what is allowed) where one is no place for a file."""
+    for name in names:
+        path = getattr(options, name)
+        if path is not None and (path.is_dir() or not path.parent.is_dir()):
+            raise ValueError(f"{name} = {path}: allowed is a file in a folder that exists")

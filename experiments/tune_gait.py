@@ -110,12 +110,26 @@ def steady(env, commands=COMMANDS) -> Track:
     return jax.vmap(partial(walk, env))(held)
 
 
-def steady_full(env) -> Track:
-    """`steady` of all `COMMANDS` in the full model, in MuJoCo's C code: joint limits, a head and a
-    tail that move, everything touches.  Joint speeds are not recorded (NaN)."""
+def _run_full(env, start, commands) -> Any:
+    """Commands [num, num_steps, 3] from poses start [num, 3] in the full model, in MuJoCo's C code,
+    with the ball in a corner."""
     from envs.base import Scene
     from envs.quadruped import native
 
+    num = len(start)
+    ball = np.tile(np.array([1.2, 0.75], np.float32), (num, 1))
+    scenes = Scene(start, ball, np.zeros((num, 0, 3), np.float32), seed=np.zeros(num, int))  # type: ignore[arg-type]
+
+    def control(_, n):
+        v_x, v_y, omega = commands[:, n].T
+        return Walk(v_x, omega, v_y)
+
+    return native.run(env, scenes, control, "full", num_steps=commands.shape[1])
+
+
+def steady_full(env) -> Track:
+    """`steady` of all `COMMANDS` in the full model, in MuJoCo's C code: joint limits, a head and a
+    tail that move, everything touches.  Joint speeds are not recorded (NaN)."""
     num, steps = len(COMMANDS), SETTLE + MEASURE
     # Start so that the walk stays in the middle of the field, clear of walls and ball.
     angle = COMMANDS[:, 2:] * env.dt * np.arange(steps)
@@ -125,10 +139,7 @@ def steady_full(env) -> Track:
     ideal = np.cumsum(ahead * env.dt, axis=1)
     start = np.zeros((num, 3), np.float32)
     start[:, :2] = -0.5 * (ideal.min(1) + ideal.max(1))
-    ball = np.tile(np.array([1.2, 0.75], np.float32), (num, 1))
-    scenes = Scene(start, ball, np.zeros((num, 0, 3), np.float32), seed=np.zeros(num, int))  # type: ignore[arg-type]
-    held = Walk(*jnp.asarray(COMMANDS[:, [0, 2, 1]]).T)
-    run = native.run(env, scenes, lambda *_: held, "full", num_steps=steps)
+    run = _run_full(env, start, jnp.repeat(jnp.asarray(COMMANDS)[:, None], steps, axis=1))
     path = jnp.asarray(run.qpos.swapaxes(0, 1), jnp.float32)
     return jax.vmap(partial(track, joint_speed=jnp.nan, dt=env.dt))(path, run.fallen[-1])
 
@@ -149,21 +160,8 @@ def falls(env, key, num: int = 100, num_steps: int = 220) -> Track:
 def falls_full(env, key, num: int = 100, num_steps: int = 220) -> np.ndarray:
     """`falls` in the full model, from the field's centre, walls around and the ball in a corner:
     who fell [num]."""
-    from envs.base import Scene
-    from envs.quadruped import native
-
     commands = random_sequences(key, num, num_steps)
-    zero = np.zeros((num, 3), np.float32)
-    ball = np.tile(np.array([1.2, 0.75], np.float32), (num, 1))
-    scenes = Scene(zero, ball, np.zeros((num, 0, 3), np.float32), seed=np.zeros(num, int))  # type: ignore[arg-type]
-    run = native.run(
-        env,
-        scenes,
-        lambda _, n: Walk(*commands[:, n].T[jnp.asarray([0, 2, 1])]),
-        "full",
-        num_steps=num_steps,
-    )
-    return run.fallen[-1]
+    return _run_full(env, np.zeros((num, 3), np.float32), commands).fallen[-1]
 
 
 def errors(walks: Track, commands) -> tuple[Any, Any]:
@@ -274,10 +272,7 @@ def _check(config: Config) -> None:
     script.check_least(config, population=4, generations=1, seed=0)
     if config.what in ("evolve", "speed") and config.variant == "full":
         raise ValueError(f"variant = 'full': allowed with {config.what} is lean")
-    for name in ("out", "csv"):
-        path = getattr(config, name)
-        if path is not None and (path.is_dir() or not path.parent.is_dir()):
-            raise ValueError(f"{name} = {path}: allowed is a file in a folder that exists")
+    script.check_files(config, "out", "csv")
 
 
 def _main(config: Config) -> None:

@@ -11,7 +11,7 @@ pytest.importorskip("mujoco")
 
 from envs.quadruped import make
 from envs.quadruped.locomotion import DEFAULT_GAIT
-from experiments import tune_gait
+from experiments import benchmark_quadruped, tune_gait
 
 DATA = DEFAULT_GAIT.parent
 
@@ -101,5 +101,21 @@ def test_a_wrong_gait_is_one_line_and_status_2(text, message, tmp_path, capsys):
 def test_wrong_options_are_one_line_and_status_2(arguments, message, capsys):
     with pytest.raises(SystemExit) as stop:
         tune_gait.main(arguments)
+    error = capsys.readouterr().err
+    assert stop.value.code == 2 and message in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--batches", "240", "0"], "batches = (240, 0): allowed are numbers from 1"),
+        (["--impls"], "impls = (): allowed is one back end or more"),
+        (["--num-threads", "0"], "num_threads = 0: allowed are numbers from 1"),
+        (["--csv", "/missing/t.csv"], "allowed is a file in a folder that exists"),
+    ],
+)
+def test_the_benchmark_refuses_wrong_options_in_one_line(arguments, message, capsys):
+    with pytest.raises(SystemExit) as stop:
+        benchmark_quadruped.main(arguments)
     error = capsys.readouterr().err
     assert stop.value.code == 2 and message in error and error.count("\n") == 1
