@@ -8,10 +8,11 @@ Frames and signs: x forward, y left, angles counter-clockwise in (-pi, pi]; an a
 means "on the left".  SI units throughout.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 Scalar = Float[Array, ""] | float
 
@@ -66,6 +67,148 @@ class Snapshot(NamedTuple):
     robot: Float[Array, "3"]  # x, y, heading
     ball: Float[Array, "2"]
     obstacles: Float[Array, "K 3"]  # x, y, radius
+
+
+class Landmark(NamedTuple):
+    """A two-coloured pole beside the field: name "lower/upper", foot (m, field's frame), colours
+    of the two bands from below (pink, yellow, green, skyblue)."""
+
+    name: str
+    x: float
+    y: float
+    lower: str
+    upper: str
+
+
+class Field(NamedTuple):
+    """The field's map, lengths in m: x from the own goal to the opponents', y to the left.
+
+    goal_colours: of the goal at -x and of that at +x.  wall_height and line_width: assumed.
+    A landmark is a pole of `landmark_radius` whose bands, `landmark_band` high each, begin at
+    `landmark_foot` above the floor.
+    """
+
+    length: float
+    width: float
+    goal_width: float
+    goal_depth: float
+    ball_radius: float
+    landmarks: tuple[Landmark, ...]
+    goal_colours: tuple[str, str] = ("skyblue", "yellow")
+    goal_height: float = 0.3
+    wall_height: float = 0.1
+    line_width: float = 0.025
+    landmark_radius: float = 0.05
+    landmark_foot: float = 0.2
+    landmark_band: float = 0.1
+
+
+class Camera(NamedTuple):
+    """A pinhole camera: pixels and openings in rad.  Defaults: ERS-210 (Tekkotsu,
+    CommonERSInfo.h); pictures are 144 rows of 176 pixels, 25 a second."""
+
+    width: int = 176
+    height: int = 144
+    horizontal: float = math.radians(57.6)
+    vertical: float = math.radians(47.8)
+
+
+class Head(NamedTuple):
+    """Where the camera sits: a neck of three joints, tilt, pan, roll (rad), each with low and high
+    limit (rad) and speed (rad/s).
+
+    base: m, tilt axis in the body's frame when the dog stands (z above the floor); neck: m, tilt
+    axis to pan axis (upwards at tilt 0); nose: m, pan axis to the camera (ahead at tilt, pan 0).
+    Positive tilt looks up, positive pan looks left.  Defaults: ERS-210 (Sony model information).
+    """
+
+    base: tuple[float, float, float] = (0.070, 0.0, 0.130)
+    neck: float = 0.048
+    nose: float = 0.050
+    low: tuple[float, float, float] = (math.radians(-82), math.radians(-89.6), math.radians(-29))
+    high: tuple[float, float, float] = (math.radians(43), math.radians(89.6), math.radians(29))
+    speed: tuple[float, float, float] = (2.105, 3.011, 3.011)
+
+
+# What a robot's Vision can name, in the order of every axis K: a static count, so that no shape
+# depends on what is in sight.  Landmarks in the order of `Field.landmarks`; goals: own, theirs.
+SEEN = (
+    "ball",
+    *(f"landmark{n}" for n in range(6)),
+    "goal-own",
+    "goal-theirs",
+    "mate0",
+    "mate1",
+    "opponent0",
+    "opponent1",
+    "opponent2",
+)
+
+
+class Walk(NamedTuple):
+    """What Locomotion asks of the body: `Command` with a walking style and a lateral speed.
+
+    style: index into the body's table of styles; v, v_y: m/s ahead and to the left; omega: rad/s.
+    """
+
+    style: Int[Array, ""] | int
+    v: Scalar
+    v_y: Scalar
+    omega: Scalar
+
+
+class Action(NamedTuple):
+    """All that one robot does in a control step.
+
+    walk: see `Walk`.  head: tilt, pan, roll wanted, rad.  kick: 0 for none, else 1 + index into the
+    body's table of kicks.  posture: 0 for none, else 1 + index into the body's table of postures.
+    say: the 64 bits of an acoustic message as two uint32, both 0 for silence.
+    """
+
+    walk: Walk
+    head: Float[Array, "3"]
+    kick: Int[Array, ""] | int
+    posture: Int[Array, ""] | int
+    say: UInt32[Array, "2"]
+
+
+class Frame(NamedTuple):
+    """One camera picture at the objects level, in the camera's own frame, in the order of `SEEN`.
+
+    bearing: rad, left positive, from the camera's axis; elevation: rad, up positive; size: rad,
+    apparent width (ball, robots) or height (landmarks: both bands; goals); visible: it was found.
+    Values of what is not visible are 0.
+    """
+
+    bearing: Float[Array, " K"]
+    elevation: Float[Array, " K"]
+    size: Float[Array, " K"]
+    visible: Bool[Array, " K"]
+
+
+class Senses(NamedTuple):
+    """All that one robot knows of the world in a control step.
+
+    frame: `Frame`, or a picture uint8 [144, 176, 3].  head: the neck's joints, rad.  displacement:
+    dx, dy (m, in the robot's frame before the step) and turn (rad) since the last step, as odometry
+    has it.  proximity: the head's infrared distance, m, 0.1 to 0.9.  gyro: rad/s.  acceleration:
+    m/s^2, gravity included (body frame).  heard: a message by sender's shirt, two uint32 each (at
+    the audio level samples [channels, samples] instead); heard_valid: it arrived whole.  signal:
+    the referee's state of play, an index into `SIGNALS`.
+    """
+
+    frame: Any
+    head: Float[Array, "3"]
+    displacement: Float[Array, "3"]
+    proximity: Scalar
+    gyro: Float[Array, "3"]
+    acceleration: Float[Array, "3"]
+    heard: UInt32[Array, "R 2"]
+    heard_valid: Bool[Array, " R"]
+    signal: Int[Array, ""]
+
+
+SIGNALS = ("play", "kick-off own", "kick-off theirs", "penalised", "half-time", "finished")
 
 
 State = TypeVar("State")
@@ -129,7 +272,7 @@ class World(NamedTuple):
 
     make: options by name (floats) -> Environment; ValueError on an unknown name or value.
     suites: name -> (key, num_scenes) -> Scene.  mix: ((suite, share), ...) -> the same.
-    field: anything with length, width, goal_width, goal_depth, ball_radius (m), for pictures.
+    field: its map, for pictures.
     film: (environment, batched scenes, observation -> command, whether in a window) -> Film, or
     None; ValueError at once where nothing can be drawn.
     """
@@ -137,7 +280,7 @@ class World(NamedTuple):
     make: Callable[..., Any]
     suites: dict[str, Callable[..., Scene]]
     mix: Callable[..., Callable[..., Scene]]
-    field: Any
+    field: Field
     film: Callable[[Any, Scene, Callable[[Any], Any], bool], Film] | None = None
 
 

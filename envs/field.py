@@ -11,20 +11,26 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from envs.base import Scalar
+from envs.base import Field, Landmark, Scalar
 
-
-class Field(NamedTuple):
-    """Geometry of the Sony legged league field of 2001 (paper, Introduction), m."""
-
-    length: float = 2.8
-    width: float = 1.8
-    goal_width: float = 0.6
-    goal_depth: float = 0.3
-    ball_radius: float = 0.042
-
-
-FIELD = Field()
+# The Sony legged league's field of 2001.  Size, goals and landmarks: paper, Introduction;
+# Gutmann and Fox 2002.  Pink is above where y > 0; the other colour is the near goal's, green in
+# the middle.
+FIELD = Field(
+    length=2.8,
+    width=1.8,
+    goal_width=0.6,
+    goal_depth=0.3,
+    ball_radius=0.042,
+    landmarks=(
+        Landmark("yellow/pink", 1.5, 1.0, "yellow", "pink"),
+        Landmark("green/pink", 0.0, 1.0, "green", "pink"),
+        Landmark("skyblue/pink", -1.5, 1.0, "skyblue", "pink"),
+        Landmark("pink/yellow", 1.5, -1.0, "pink", "yellow"),
+        Landmark("pink/green", 0.0, -1.0, "pink", "green"),
+        Landmark("pink/skyblue", -1.5, -1.0, "pink", "skyblue"),
+    ),
+)
 
 
 class Disc(NamedTuple):

@@ -23,9 +23,9 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from experiments.rivals import jobs, plain_numpy
-from experiments.rivals.jobs import Contestant, Job, Scenes
-from experiments.rivals.worker import Worker
+from experiments.baselines import jobs, plain_numpy
+from experiments.baselines.jobs import Contestant, Job, Scenes
+from experiments.baselines.worker import Worker
 
 
 @dataclasses.dataclass(frozen=True)
@@ -170,8 +170,8 @@ def growth(options: Options) -> list[dict]:
 
 def write_growth(rows: list[dict], folder: Path) -> Path:
     """growth.csv, growth.png and growth.pdf."""
-    from fntg_jax import plots
     from fntg_jax.files import write_atomically
+    from fntg_jax.showing import plots
 
     text = io.StringIO()
     table = csv.DictWriter(text, rows[0], lineterminator="\n")
@@ -211,7 +211,14 @@ def first_figure(seeds: int = 30) -> None:
         environment = {**os.environ, "XDG_CACHE_HOME": folder}
         for name in ("empty compile cache", "filled compile cache"):
             out = Path(folder) / name.replace(" ", "-")
-            command = [sys.executable, "-m", "fntg_jax.cli", "train", "--seeds", str(seeds)]
+            command = [
+                sys.executable,
+                "-m",
+                "fntg_jax.commands.cli",
+                "train",
+                "--seeds",
+                str(seeds),
+            ]
             begin = time.perf_counter()
             subprocess.run(
                 [*command, "--out", str(out)], env=environment, capture_output=True, check=True
@@ -222,7 +229,7 @@ def first_figure(seeds: int = 30) -> None:
 
 
 def main() -> None:
-    from fntg_jax.cli import refuse
+    from fntg_jax.commands.cli import refuse
 
     options = tyro.cli(Options, description=__doc__, prog="experiments/benchmark.py")
     try:

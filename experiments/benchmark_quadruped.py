@@ -20,8 +20,8 @@ import numpy as np
 import tyro
 
 from experiments import script
-from fntg_jax import xla
-from fntg_jax.cli import refuse
+from fntg_jax.commands.cli import refuse
+from fntg_jax.running import xla
 
 GENERATION = 60 * 4 * 220 * 10  # physics steps
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from experiments import figures
-from fntg_jax import plots
+from fntg_jax.showing import plots
 
 
 def run(config: figures.Options) -> Any:

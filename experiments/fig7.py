@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from experiments import figures
-from fntg_jax import plots
+from fntg_jax.showing import plots
 
 
 def run(config: figures.Options) -> figures.Trials:

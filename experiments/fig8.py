@@ -5,7 +5,7 @@ from pathlib import Path
 import jax
 
 from experiments import fig7, figures
-from fntg_jax import plots
+from fntg_jax.showing import plots
 
 run = fig7.run
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import tyro
 
 from experiments import script
-from fntg_jax import xla
+from fntg_jax.running import xla
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,10 +38,10 @@ def main(doc: str, name: str, run: Callable, plot: Callable) -> None:
 
 def finished_run(options: Options) -> Any:
     """The `runner.Run` of a folder, or a new one of the paper preset."""
-    from fntg_jax import runfolder, runner, settings
+    from fntg_jax.running import run_folder, runner, settings
 
     if options.run is not None:
-        run = runfolder.restore(options.run)
+        run = run_folder.restore(options.run)
         if not run.done:
             raise ValueError(f"{options.run}: not finished; continue it with --resume")
         return run
@@ -74,9 +74,9 @@ def paper_trials(options: Options, starts: slice) -> Trials:
     import jax.numpy as jnp
     import numpy as np
 
-    from fntg_jax import runner
-    from fntg_jax.layout import expand_scalars
-    from fntg_jax.rollout import trajectory
+    from fntg_jax.controller.layout import expand_scalars
+    from fntg_jax.learning.rollout import trajectory
+    from fntg_jax.running import runner
 
     run = finished_run(options)
     history = run.history()

@@ -24,10 +24,13 @@ import numpy as np
 import tyro
 
 from experiments import script
-from fntg_jax import evaluation, export, plots, refine, runfolder, runner, settings, xla
+from fntg_jax import export
+from fntg_jax.controller.layout import HIGH, LOW, get_layout
 from fntg_jax.files import write_atomically
-from fntg_jax.layout import HIGH, LOW, get_layout
-from fntg_jax.settings import TrainConfig
+from fntg_jax.learning import gradient
+from fntg_jax.running import evaluation, run_folder, runner, settings, xla
+from fntg_jax.running.settings import TrainConfig
+from fntg_jax.showing import plots
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +114,7 @@ def evolved(config: TrainConfig, seeds: int) -> Iterator[tuple[int, float, expor
     result = run.conclude()
     seconds = (time.perf_counter() - begin) / seeds
     for seed in range(config.first_seed, config.first_seed + seeds):
-        yield seed, seconds, runfolder.controller(run, seed, result)
+        yield seed, seconds, run_folder.controller(run, seed, result)
 
 
 def descended(options: Options) -> Iterator[tuple[int, float, export.Controller]]:
@@ -119,15 +122,15 @@ def descended(options: Options) -> Iterator[tuple[int, float, export.Controller]
     config = settings.PRESETS["robust"]
     world, layout = settings.get_world(config.env), get_layout(config.layout)
     env, suite = world.make(**config.env_options), settings.get_suite(world, config.suite)
-    problem = refine.smooth_problem(layout, env, suite, config.num_scenes, config.output)
-    optimiser = refine.optimiser("adam", options.gradient_steps, 0.03)
+    problem = gradient.smooth_problem(layout, env, suite, config.num_scenes, config.output)
+    optimiser = gradient.optimiser("adam", options.gradient_steps, 0.03)
 
     @partial(jax.jit, compiler_options=xla.GRADIENT_OPTIONS)
     def descend(key):
         k_start, k_steps = jax.random.split(key)
         shape = (options.gradient_starts, layout.num_genes)
         theta = jax.random.uniform(k_start, shape, minval=LOW, maxval=HIGH)
-        found = refine.refine(k_steps, theta, *problem, optimiser, options.gradient_steps)
+        found = gradient.refine(k_steps, theta, *problem, optimiser, options.gradient_steps)
         return found.theta[jnp.argmin(found.cost)]
 
     for seed in range(options.seeds):

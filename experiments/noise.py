@@ -23,9 +23,11 @@ import tyro
 
 import fntg_jax
 from experiments import script
-from fntg_jax import evaluation, fitness, plots, runner, settings, xla
-from fntg_jax.layout import get_layout
-from fntg_jax.rollout import rollout_pairs
+from fntg_jax.controller.layout import get_layout
+from fntg_jax.learning import fitness
+from fntg_jax.learning.rollout import rollout_pairs
+from fntg_jax.running import evaluation, runner, settings, xla
+from fntg_jax.showing import plots
 
 SUITES = ("open", "blocked")
 

@@ -28,8 +28,9 @@ import tyro
 
 from experiments import optimizers_brax, optimizers_fntg, script
 from experiments.optimizers_fntg import Task
-from fntg_jax import plots, xla
 from fntg_jax.files import write_atomically
+from fntg_jax.running import xla
+from fntg_jax.showing import plots
 
 METHODS = (
     "ga-paper", "ga-robust", "ga-refined", "ga-gradient", "gradient", "cma-es", "open-es",

@@ -14,9 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from envs.base import Observation
 from experiments.optimizers_fntg import Checkpoint, Task, partitions
-from fntg_jax import fntg
-from fntg_jax.layout import HIGH, LOW, expand, get_layout
+from fntg_jax.controller import network
+from fntg_jax.controller.layout import HIGH, LOW, expand, get_layout
 
 NAMES = ("brax-es-fntg", "brax-es-mlp", "brax-ppo-mlp", "brax-apg-fntg")
 
@@ -38,7 +39,7 @@ class _Deterministic:
         return parameters
 
 
-def fntg_networks(make: Any, env: Any, output: fntg.Output, **_: Any) -> Any:
+def fntg_networks(make: Any, env: Any, output: network.Output, **_: Any) -> Any:
     """The FNTG's 31 genes as brax networks (a network factory once the first three are given):
     parameters [31], read as `output` says, a random fuzzy partition at the start and clipped to
     (-5, 5) in use."""
@@ -52,8 +53,8 @@ def fntg_networks(make: Any, env: Any, output: fntg.Output, **_: Any) -> Any:
     def apply(normalizer, theta, observation):
         del normalizer  # metres and radians are what the genes mean
         params = expand(layout, jnp.clip(theta, LOW, HIGH))
-        seen = fntg.Observation(*jnp.moveaxis(observation, -1, 0))
-        return env.action(fntg.command(params, seen, env.env.limits, output))
+        seen = Observation(*jnp.moveaxis(observation, -1, 0))
+        return env.action(network.command(params, seen, env.env.limits, output))
 
     return make(
         policy_network=FeedForwardNetwork(init, apply),
@@ -62,7 +63,13 @@ def fntg_networks(make: Any, env: Any, output: fntg.Output, **_: Any) -> Any:
 
 
 def _trainer(
-    name: str, env: Any, output: fntg.Output, budget: int, seed: int, checkpoints: int, length: int
+    name: str,
+    env: Any,
+    output: network.Output,
+    budget: int,
+    seed: int,
+    checkpoints: int,
+    length: int,
 ) -> Any:
     """A call of brax's trainer that lacks only its progress_fn and eval_env."""
     common: dict[str, Any] = {

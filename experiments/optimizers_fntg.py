@@ -18,13 +18,15 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from fntg_jax import cma, evaluation, fitness, ga, genome, refine, xla
-from fntg_jax.fitness import PaperWeights, SmoothWeights
-from fntg_jax.fntg import Output
-from fntg_jax.layout import HIGH, LOW, Layout, get_layout
-from fntg_jax.objective import Static, Traced, draw_scenes, score
-from fntg_jax.rollout import rollout_pairs
-from fntg_jax.settings import PRESETS, get_suite, get_world
+from fntg_jax.controller import genome
+from fntg_jax.controller.layout import HIGH, LOW, Layout, get_layout
+from fntg_jax.controller.network import Output
+from fntg_jax.learning import cma, fitness, ga, gradient
+from fntg_jax.learning.fitness import PaperWeights, SmoothWeights
+from fntg_jax.learning.objective import Static, Traced, draw_scenes, score
+from fntg_jax.learning.rollout import rollout_pairs
+from fntg_jax.running import evaluation, xla
+from fntg_jax.running.settings import PRESETS, get_suite, get_world
 
 SUITES = ("open", "blocked")
 STEPS = 220  # control steps a trial
@@ -144,7 +146,7 @@ def genetic(config: ga.GAConfig, ranges: Any = None) -> Search:
     )
 
 
-def gradient(num_starts: int, rate: float) -> Search:
+def gradients(num_starts: int, rate: float) -> Search:
     """Adam through the roll-out, from random starts or from the best of an earlier phase.
 
     An iteration costs three control steps for one: forward, forward again (checkpointing), and
@@ -155,7 +157,7 @@ def gradient(num_starts: int, rate: float) -> Search:
         if theta is None:
             theta = partitions(key, num_starts)
         # The state does not depend on the length of the schedule.
-        return theta[:num_starts], refine.optimiser("adam", 1, rate).init(theta[:num_starts])
+        return theta[:num_starts], gradient.optimiser("adam", 1, rate).init(theta[:num_starts])
 
     def iterate(key, state, iterations, cost_fn, draw):
         theta, moments = state
@@ -169,7 +171,7 @@ def gradient(num_starts: int, rate: float) -> Search:
         slope = jnp.where(jnp.all(jnp.isfinite(slope), axis=1, keepdims=True), slope, 0)
         # Each start has its own clipping: one steep one must not stop the rest.
         norm = jnp.maximum(jnp.linalg.norm(slope, axis=1, keepdims=True), 1.0)
-        updates, moments = refine.optimiser("adam", iterations, rate).update(
+        updates, moments = gradient.optimiser("adam", iterations, rate).update(
             slope / norm, moments, theta
         )
         new = jnp.clip(optax.apply_updates(theta, updates), LOW, HIGH)
@@ -252,8 +254,8 @@ def searches() -> dict[str, list[tuple[Search, float]]]:
         # The preset's phases at their shares, with a quarter of its samples a step of refinement:
         # on a fifth of its control steps that leaves nearly as many such steps as it has.
         "ga-refined": [(robust, 0.21), (covariance(0.5), 0.79)],
-        "ga-gradient": [(robust, 0.7), (gradient(4, 0.003), 0.3)],
-        "gradient": [(gradient(16, 0.03), 1.0)],
+        "ga-gradient": [(robust, 0.7), (gradients(4, 0.003), 0.3)],
+        "gradient": [(gradients(16, 0.03), 1.0)],
         "cma-es": [(evosax_search(adapt, wide, 64, True), 1.0)],
         "open-es": [(evosax_search(open_es, open_es.default_params, 256, True), 1.0)],
         "simple-ga": [(evosax_search(simple, crossed, 256, False), 1.0)],

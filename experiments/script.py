@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from fntg_jax.cli import refuse
+from fntg_jax.commands.cli import refuse
 
 
 @contextlib.contextmanager

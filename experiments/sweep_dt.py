@@ -8,7 +8,7 @@ from typing import Any
 
 from experiments import sweeps
 from experiments.sweeps import plot
-from fntg_jax.sweep import grid
+from fntg_jax.running.sweep import grid
 
 
 def run(config: sweeps.Options) -> Any:

@@ -9,8 +9,8 @@ from typing import Any
 import tyro
 
 from experiments import script
-from fntg_jax import xla
-from fntg_jax.cli import say
+from fntg_jax.commands.cli import say
+from fntg_jax.running import xla
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,7 +31,7 @@ def main(doc: str, name: str, run: Callable, plot: Callable) -> None:
     """Parse options, run, plot; the leaderboard on stdout; bad input is one line and status 2."""
     options = tyro.cli(Options, description=doc, prog=f"experiments/{name}.py")
     xla.configure(num_cpu_devices=os.cpu_count() or 1)
-    from fntg_jax import sweep_report
+    from fntg_jax.showing import sweep_report
 
     with script.folder(options.out):
         table = run(options)
@@ -43,8 +43,8 @@ def swept(
     config: Options, settings: Sequence[dict[str, Any]], suites: Sequence[str] = (), **base: Any
 ) -> Any:
     """`sweep.Table` of the paper preset with those settings; base: other fields of it."""
-    from fntg_jax import settings as presets
-    from fntg_jax import sweep
+    from fntg_jax.running import settings as presets
+    from fntg_jax.running import sweep
 
     paper = presets.PRESETS["paper"]
     paper = dataclasses.replace(
@@ -59,7 +59,7 @@ def swept(
 
 def plot(table: Any, path: Path) -> Path:
     """PNG, PDF and CSV."""
-    from fntg_jax import sweep_report
+    from fntg_jax.showing import sweep_report
 
     sweep_report.write_csv(table, 0, path.with_suffix(".csv"))
     figure = sweep_report.plot(table, path)

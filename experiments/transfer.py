@@ -25,10 +25,14 @@ import tyro
 
 import fntg_jax
 from experiments import script
-from fntg_jax import evaluation, export, fitness, fntg, ga, genome, plots, warmstart, xla
-from fntg_jax.layout import expand, get_layout
-from fntg_jax.rollout import Outcome, outcome_of, rollout_pairs
-from fntg_jax.settings import get_world
+from fntg_jax import export
+from fntg_jax.controller import genome, network
+from fntg_jax.controller.layout import expand, get_layout
+from fntg_jax.learning import fitness, ga
+from fntg_jax.learning.rollout import Outcome, outcome_of, rollout_pairs
+from fntg_jax.running import evaluation, warmstart, xla
+from fntg_jax.running.settings import get_world
+from fntg_jax.showing import plots
 
 MIX = (("open", 0.5), ("blocked", 0.5))
 CAPTURE = 0.145  # m, where the quadruped brings the ball to; the kinematic world learns with it
@@ -151,7 +155,7 @@ def judge_full(stage, controller, config: Config) -> tuple[list[Row], list[Failu
     world = get_world("quadruped")
     env = evaluation.environment_for(controller, world)
     params = expand(controller.layout, jnp.asarray(controller.theta, jnp.float32))
-    control = jax.vmap(lambda seen: fntg.command(params, seen, env.limits, controller.output))
+    control = jax.vmap(lambda seen: network.command(params, seen, env.limits, controller.output))
     rows, failures = [], []
     for suite in ("open", "blocked"):
         scenes = evaluation.held_out_scenes(world, suite, config.full_scenes)

@@ -21,8 +21,10 @@ import numpy as np
 import tyro
 
 from experiments import script
-from fntg_jax import ga, genome, xla
-from fntg_jax.cli import refuse
+from fntg_jax.commands.cli import refuse
+from fntg_jax.controller import genome
+from fntg_jax.learning import ga
+from fntg_jax.running import xla
 
 # Gene -> (least, largest) value.
 GENES = {

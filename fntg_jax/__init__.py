@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fntg_jax.evaluation import Evaluation
     from fntg_jax.export import Controller
+    from fntg_jax.running.evaluation import Evaluation
 
 __version__ = "0.1.0"
 __all__ = ["evaluate", "load", "save", "train"]
@@ -30,7 +30,7 @@ def train(preset: str = "paper", out: str | Path | None = None, **options: Any) 
     """
     import dataclasses
 
-    from fntg_jax import runfolder, runner, settings
+    from fntg_jax.running import run_folder, runner, settings
 
     if preset not in settings.PRESETS:
         raise ValueError(f"preset = {preset!r}: known are {', '.join(settings.PRESETS)}")
@@ -38,15 +38,15 @@ def train(preset: str = "paper", out: str | Path | None = None, **options: Any) 
     for name, value in options.items():
         nested = isinstance(value, dict) and isinstance(values.get(name), dict)
         values[name] = {**values[name], **value} if nested else value
-    run = runner.start(runfolder.config_from_dict(values))
+    run = runner.start(run_folder.config_from_dict(values))
     if out is not None:
-        runfolder.create(Path(out), run.config)
+        run_folder.create(Path(out), run.config)
     runner.complete(run)
     result = None
     if out is not None:
-        runfolder.save_checkpoint(Path(out), run)
-        _, result = runfolder.finish(Path(out), run)
-    return runfolder.controller(run, result=result)
+        run_folder.save_checkpoint(Path(out), run)
+        _, result = run_folder.finish(Path(out), run)
+    return run_folder.controller(run, result=result)
 
 
 def evaluate(
@@ -58,7 +58,7 @@ def evaluate(
 ) -> "Evaluation":
     """Success on unseen scenes: `rates` has reach, safe, stop and success, each with `share`,
     `low` and `high` (Wilson 95 %).  Raises ValueError on an unknown suite or world."""
-    from fntg_jax import evaluation, settings
+    from fntg_jax.running import evaluation, settings
 
     return evaluation.evaluate(controller, settings.get_world(env), suite, scenes, seed)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from fntg_jax import xla
+from fntg_jax.running import xla
 
 # XLA reads its flags when it starts.  Without them the quadruped's step takes minutes to compile.
 xla.configure()
@@ -59,7 +59,7 @@ def fntg(clean_env):
 
     def run(*arguments, cwd=None, **env: str) -> subprocess.CompletedProcess:
         return subprocess.run(
-            [sys.executable, "-m", "fntg_jax.cli", *map(str, arguments)],
+            [sys.executable, "-m", "fntg_jax.commands.cli", *map(str, arguments)],
             env={**clean_env, **env},
             cwd=cwd,
             capture_output=True,

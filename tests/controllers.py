@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from fntg_jax import fntg
+from envs.base import Limits
+from fntg_jax.controller.layout import get_layout
 from fntg_jax.export import Controller
-from fntg_jax.layout import get_layout
 
 
 def random_controller(layout: str = "paper-31", seed: int = 0, **fields) -> Controller:
@@ -18,4 +18,4 @@ def built_controller(layout: str = "paper-31", **genes: float) -> Controller:
     names = [g.name for g in get_layout(layout).genes]
     assert set(genes) <= set(names)
     theta = np.array([genes.get(name, 1.0) for name in names], float)
-    return Controller(get_layout(layout), theta, limits=fntg.Limits())
+    return Controller(get_layout(layout), theta, limits=Limits())

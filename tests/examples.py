@@ -4,8 +4,9 @@ import json
 
 import numpy as np
 
-from fntg_jax import export, fntg
-from fntg_jax.layout import LAYOUTS
+from envs.base import Limits
+from fntg_jax import export
+from fntg_jax.controller.layout import LAYOUTS
 
 FIELD_DIAGONAL = float(np.hypot(2.8, 1.8))
 NEAR_ZERO = 5 / 32767  # the 15-bit gene nearest 0
@@ -42,5 +43,5 @@ def extreme_observations() -> np.ndarray:
 def document(layout, theta, output="scale", limits=None) -> dict:
     """The exported JSON document of a controller, as another program would read it."""
     theta = np.asarray(theta, np.float64)
-    controller = export.Controller(layout, theta, output, limits or fntg.Limits())
+    controller = export.Controller(layout, theta, output, limits or Limits())
     return json.loads(export.dumps(controller))

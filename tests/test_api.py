@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import fntg_jax
-from fntg_jax import export, runfolder
+from fntg_jax import export
+from fntg_jax.running import run_folder
 from tests.controllers import random_controller
 from tests.small_run import small_run
 
@@ -47,9 +48,9 @@ def test_train_writes_the_run_folder_it_is_asked_for():
     config = json.loads((folder / "config.json").read_text())
     assert (config["generations"], config["ga"]["population"]) == (2, 8)
     assert config["ga"]["mutation_rate"] == 0.001
-    run = runfolder.restore(folder)
+    run = run_folder.restore(folder)
     assert run.done
-    assert export.dumps(fntg_jax.load(folder)) == export.dumps(runfolder.controller(run))
+    assert export.dumps(fntg_jax.load(folder)) == export.dumps(run_folder.controller(run))
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fntg_jax import ga, genome
-from fntg_jax.ask_tell import GeneticAlgorithm
+from fntg_jax.controller import genome
+from fntg_jax.learning import ga
+from fntg_jax.learning.ask_tell import GeneticAlgorithm
 
 POPULATION, DIMS, GENERATIONS = 16, 2, 10
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from experiments import benchmark
-from experiments.rivals import jobs, plain_numpy
-from fntg_jax.layout import LAYOUTS
+from experiments.baselines import jobs, plain_numpy
+from fntg_jax.controller.layout import LAYOUTS
 from tests import reference
 from tests.examples import document
 

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 import fntg_jax
-from fntg_jax import fitness, fntg
-from fntg_jax.evaluation import environment_for, held_out_scenes
-from fntg_jax.layout import expand
-from fntg_jax.rollout import rollout_pairs
-from fntg_jax.settings import get_world
+from envs.base import Command, Observation
+from fntg_jax.controller import network
+from fntg_jax.controller.layout import expand
+from fntg_jax.learning import fitness
+from fntg_jax.learning.rollout import rollout_pairs
+from fntg_jax.running.evaluation import environment_for, held_out_scenes
+from fntg_jax.running.settings import get_world
 from tests.conftest import ROOT
 
 NUM_SCENES = 64
@@ -49,13 +51,13 @@ def driven(adapter):
     env = adapter.Bioa(model, scenes)
     wrapped = training.EvalWrapper(training.wrap(env, adapter.EPISODE_LENGTH))
     params = expand(controller.layout, jnp.asarray(controller.theta, jnp.float32))
-    observe = fntg.Observation._make
+    observe = Observation._make
 
     @jax.jit
     def episodes(keys):
         def step(state, _):
             seen = observe(jnp.moveaxis(state.obs, -1, 0))
-            action = env.action(fntg.command(params, seen, model.limits, controller.output))
+            action = env.action(network.command(params, seen, model.limits, controller.output))
             state = wrapped.step(state, action)
             return state, (state.reward, state.done, state.metrics["success"])
 
@@ -114,7 +116,7 @@ def test_actions_span_the_limits(driven):
     for action, v, omega in (((-1, 0), 0.0, 0.0), ((1, 1), 0.2, 1.5), ((9, -9), 0.2, -1.5)):
         command = env.command(jnp.asarray(action, jnp.float32))
         np.testing.assert_allclose((command.v, command.omega), (v, omega), atol=1e-7)
-    command = fntg.Command(jnp.asarray(0.07), jnp.asarray(-0.4))
+    command = Command(jnp.asarray(0.07), jnp.asarray(-0.4))
     np.testing.assert_allclose(env.command(env.action(command)), command, rtol=1e-6)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fntg_jax import export
-from fntg_jax.fitness import success
+from fntg_jax.learning.fitness import success
 
 SMALL = ("--seeds", 2, "--generations", 6, "--ga.population", 8, "--first-seed", 5)
 
@@ -81,7 +81,8 @@ def test_run_folder_is_complete_and_agrees_with_itself(finished):
 @pytest.fixture
 def here(capsys, monkeypatch):
     """Run the command in this process, which costs no start: its stdout."""
-    from fntg_jax import cli, xla
+    from fntg_jax.commands import cli
+    from fntg_jax.running import xla
 
     # The flags of XLA are for a process of its own.
     monkeypatch.setattr(xla, "configure", lambda *args, **kwargs: None)
@@ -131,7 +132,7 @@ def uninterrupted(fntg, tmp_path_factory):
 # has one when it is killed.
 EAGER = """
 import sys
-from fntg_jax import cli
+from fntg_jax.commands import cli
 from fntg_jax.commands import train
 train._CHECKPOINT_SECONDS = 0.0
 cli.main(sys.argv[1:])
@@ -198,7 +199,8 @@ def test_a_stopped_run_resumes_to_the_same_bits(
 @pytest.fixture
 def refused(capsys, tmp_path, monkeypatch):
     """Run the command in this process; the one line it says on refusing."""
-    from fntg_jax import cli, xla
+    from fntg_jax.commands import cli
+    from fntg_jax.running import xla
 
     monkeypatch.chdir(tmp_path)
     # The flags of XLA are for a process of its own.
@@ -309,7 +311,7 @@ def test_refusal_reaches_the_shell(fntg, tmp_path):
 @pytest.mark.slow
 def test_success_of_a_suite_is_counted_per_scene(finished):
     """`evaluate` in the library: shares are means over its own outcome."""
-    from fntg_jax import evaluation, settings
+    from fntg_jax.running import evaluation, settings
 
     _, folder = finished
     controller, world = export.load(folder / "params.json"), settings.get_world("kinematic")

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fntg_jax import cma
+from fntg_jax.learning import cma
 
 TARGET = jnp.linspace(-2.0, 3.0, 8)
 SCALES = 10.0 ** jnp.linspace(0, 2, 8)  # condition number 10^4

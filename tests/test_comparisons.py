@@ -8,9 +8,9 @@ import pytest
 from PIL import Image
 
 import fntg_jax
-from experiments import noise, optimizers, optimizers_brax, optimizers_fntg, readings
-from fntg_jax.fitness import paper_fitness
-from fntg_jax.rollout import Outcome
+from experiments import interpretations, noise, optimizers, optimizers_brax, optimizers_fntg
+from fntg_jax.learning.fitness import paper_fitness
+from fntg_jax.learning.rollout import Outcome
 
 
 def drawn(path):
@@ -31,42 +31,46 @@ def test_the_literal_forms_of_the_fitness():
     """By hand: (6 0.05)^2 + 0.05 + 0.05 + 2 v + 0.5 0.2, and what each form adds to it."""
     rest = 0.001 + 0.3**2 + 0.1 + 0.1
     np.testing.assert_allclose(paper_fitness(outcome()), 10 / (rest + 0.2), rtol=1e-5)
-    np.testing.assert_allclose(readings.signed_v_fitness(outcome()), 10 / (rest + 0.2), rtol=1e-5)
+    np.testing.assert_allclose(
+        interpretations.signed_v_fitness(outcome()), 10 / (rest + 0.2), rtol=1e-5
+    )
     # Backing away at 0.2 m/s near the ball: the denominator is below zero.
-    away = readings.signed_v_fitness(outcome(v=-0.2))
+    away = interpretations.signed_v_fitness(outcome(v=-0.2))
     np.testing.assert_allclose(away, 10 / (rest - 0.4), rtol=1e-4)
     assert away[0] < 0 < paper_fitness(outcome(v=-0.2))[0]
     # One trial at 0.045 m: delta is (20 0.1)^2 = 4, per trial 2; the mean of h is above 0.145.
     near = outcome(clearance=(0.045, 0.3))
     np.testing.assert_allclose(paper_fitness(near), 10 / (rest + 0.2 + 2), rtol=1e-4)
-    np.testing.assert_allclose(readings.at_once_fitness(near), 10 / (rest + 0.2), rtol=1e-4)
-    np.testing.assert_allclose(readings.worst_trial_fitness(near), 10 / (rest + 4.2), rtol=1e-4)
+    np.testing.assert_allclose(interpretations.at_once_fitness(near), 10 / (rest + 0.2), rtol=1e-4)
+    np.testing.assert_allclose(
+        interpretations.worst_trial_fitness(near), 10 / (rest + 4.2), rtol=1e-4
+    )
     lazy = outcome(v_peak=(0.0, 0.2))
     np.testing.assert_allclose(paper_fitness(lazy), 10 / (rest + 0.2 + 30), rtol=1e-4)
-    np.testing.assert_allclose(readings.at_once_fitness(lazy), 10 / (rest + 0.2), rtol=1e-4)
+    np.testing.assert_allclose(interpretations.at_once_fitness(lazy), 10 / (rest + 0.2), rtol=1e-4)
 
 
 @pytest.mark.slow
 def test_readings(tmp_path, capsys):
-    options = readings.Options(
+    options = interpretations.Options(
         seeds=2, generations=2, eval_scenes=8, only=("backward-signed-v", "C_k-sees-d_O")
     )
-    results = readings.run(options)
+    results = interpretations.run(options)
     assert [r.reading.name for r in results] == ["default", *options.only]
-    default, _, blind = (readings.turning(r) for r in results)
+    default, _, blind = (interpretations.turning(r) for r in results)
     assert np.all(blind == 0) and np.all(default > 0)
-    first, second = readings.warnings(results)
+    first, second = interpretations.warnings(results)
     assert "denominator" in first and "by 0 rad/s at most" in second
     assert capsys.readouterr().out.count("|\n") == 5
-    drawn(readings.plot(results, tmp_path / "readings.png"))
+    drawn(interpretations.plot(results, tmp_path / "readings.png"))
     rows = list(csv.DictReader((tmp_path / "readings.csv").open()))
     assert len(rows) == 3 * 2
     assert float(rows[0]["fitness_default"]) == pytest.approx(float(rows[0]["fitness_own"]), 1e-4)
 
 
 def test_every_reading_but_the_default_differs():
-    default = readings.READINGS[0]._replace(name="")
-    assert all(r._replace(name="") != default for r in readings.READINGS[1:])
+    default = interpretations.READINGS[0]._replace(name="")
+    assert all(r._replace(name="") != default for r in interpretations.READINGS[1:])
 
 
 @pytest.mark.slow

@@ -4,8 +4,7 @@ from importlib import metadata
 
 import pytest
 
-from fntg_jax import cli
-from fntg_jax.commands import doctor
+from fntg_jax.commands import cli, doctor
 
 
 def run(capsys):

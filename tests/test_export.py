@@ -8,8 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fntg_jax import export, fntg, genome
-from fntg_jax.layout import LAYOUTS
+from envs.base import Limits
+from fntg_jax import export
+from fntg_jax.controller import genome
+from fntg_jax.controller.layout import LAYOUTS
 from tests import reference
 from tests.examples import layouts, random_observations, random_thetas
 
@@ -35,7 +37,7 @@ def test_floats_round_trip_exactly(data, name):
     layout = LAYOUTS[name]
     theta = data.draw(hnp.arrays(np.float64, layout.num_genes, elements=st.floats(-5, 5)))
     v_max = data.draw(st.floats(0.01, 10))
-    limits = fntg.Limits(-0.1, v_max, data.draw(st.floats(0.01, 100)))
+    limits = Limits(-0.1, v_max, data.draw(st.floats(0.01, 100)))
     dt = data.draw(st.floats(1e-3, 1))
     text = export.dumps(export.Controller(layout, theta, "clip", limits, dt))
     back = export.loads(text)
@@ -57,7 +59,7 @@ def test_bits_and_theta_tell_the_same(seed, name):
 def test_the_file_alone_drives_the_reference(layout, tmp_path):
     """Saved, read by plain json and evaluated without layouts: the same as the Controller."""
     theta = random_thetas(layout, 1, seed=9)[0]
-    controller = export.Controller(layout, theta, limits=fntg.Limits(-0.2, 0.4, 2.0))
+    controller = export.Controller(layout, theta, limits=Limits(-0.2, 0.4, 2.0))
     path = tmp_path / "params.json"
     export.save(controller, path)
     document = json.loads(path.read_text())

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fntg_jax import cli, evaluation, export, failures, plots, settings, xla
-from fntg_jax.rollout import Outcome
+from fntg_jax import export
+from fntg_jax.commands import cli
+from fntg_jax.learning.rollout import Outcome
+from fntg_jax.running import evaluation, settings, xla
+from fntg_jax.showing import failures, plots
 from tests.controllers import random_controller
 
 SCENES = 20

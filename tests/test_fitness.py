@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from fntg_jax.evaluation import wilson
-from fntg_jax.fitness import PaperWeights, paper_fitness, success
-from fntg_jax.rollout import Outcome
+from fntg_jax.learning.fitness import PaperWeights, paper_fitness, success
+from fntg_jax.learning.rollout import Outcome
+from fntg_jax.running.evaluation import wilson
 
 
 def outcome(**changes):

@@ -7,8 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fntg_jax import export, fntg
-from fntg_jax.layout import LAYOUTS, Gene, Layout, expand, expand_scalars
+from envs.base import Limits, Observation
+from fntg_jax import export
+from fntg_jax.controller import network
+from fntg_jax.controller.layout import LAYOUTS, Gene, Layout, expand, expand_scalars
 from tests import reference
 from tests.examples import (
     document,
@@ -20,8 +22,8 @@ from tests.examples import (
 )
 
 each_layout = pytest.mark.parametrize("layout", layouts, ids=lambda x: x.name)
-SMALL = fntg.Limits(v_min=-0.05, v_max=0.3, omega_max=2.0)
-WIDE = fntg.Limits(v_min=-1.0, v_max=2.0, omega_max=3.0)
+SMALL = Limits(v_min=-0.05, v_max=0.3, omega_max=2.0)
+WIDE = Limits(v_min=-1.0, v_max=2.0, omega_max=3.0)
 
 
 # The full parameter set as 65 genes of its own: one compilation serves every layout.
@@ -37,13 +39,13 @@ def slots_of(layout, thetas) -> tuple:
 @partial(jax.jit, static_argnames="output")
 @partial(jax.vmap, in_axes=(0, 0, None, None))
 def jitted_command(slots, seen, limits, output):
-    return fntg.command(expand_scalars(SLOTS, slots), fntg.Observation(*seen), limits, output)
+    return network.command(expand_scalars(SLOTS, slots), Observation(*seen), limits, output)
 
 
-def commands(layout, thetas, observations, limits=fntg.Limits(), output="scale", dtype=np.float32):
+def commands(layout, thetas, observations, limits=Limits(), output="scale", dtype=np.float32):
     """Pairs of genome and observation -> [N, 2]."""
     with jax.enable_x64(dtype is np.float64):
-        limits = fntg.Limits(*(jnp.asarray(x, dtype) for x in limits))
+        limits = Limits(*(jnp.asarray(x, dtype) for x in limits))
         seen = tuple(jnp.asarray(observations.T, dtype))
         found = jitted_command(slots_of(layout, thetas.astype(dtype)), seen, limits, output)
         assert found.v.dtype == dtype
@@ -87,7 +89,7 @@ def values_and_gradients(slots, seen):
     """Before clipping, which would hide gradients: v and omega, and their slopes."""
 
     def averages(slots, seen):
-        return fntg.weighted_averages(expand_scalars(SLOTS, slots), fntg.Observation(*seen))
+        return network.weighted_averages(expand_scalars(SLOTS, slots), Observation(*seen))
 
     found, pull = jax.vjp(averages, slots, seen)
     return found, jax.vmap(pull)(tuple(jnp.eye(2, dtype=found[0].dtype)))
@@ -122,7 +124,7 @@ def test_gradient_agrees_with_finite_differences():
     @jax.vmap
     def slope(*where_and_along):
         def averages(theta, o):
-            return jnp.stack(fntg.weighted_averages(expand(layout, theta), fntg.Observation(*o)))
+            return jnp.stack(network.weighted_averages(expand(layout, theta), Observation(*o)))
 
         where, along = where_and_along[:2], where_and_along[2:]
         return jax.jvp(averages, where, along)[1]
@@ -145,7 +147,7 @@ def test_gradient_agrees_with_finite_differences():
 @partial(jax.vmap, in_axes=(0, None))
 @partial(jax.vmap, in_axes=(None, 0))
 def jitted_strengths(slots, seen):
-    return fntg.firing_strengths(expand_scalars(SLOTS, slots), fntg.Observation(*seen))
+    return network.firing_strengths(expand_scalars(SLOTS, slots), Observation(*seen))
 
 
 @each_layout
@@ -163,8 +165,8 @@ def test_firing_strengths_are_the_papers_products():
     layout = LAYOUTS["paper-31"]
     for theta, seen in zip(random_thetas(layout, 20), random_observations(20)):
         with jax.enable_x64(True):
-            found = fntg.firing_strengths(
-                expand(layout, jnp.asarray(theta)), fntg.Observation(*jnp.asarray(seen))
+            found = network.firing_strengths(
+                expand(layout, jnp.asarray(theta)), Observation(*jnp.asarray(seen))
             )
         naive = [s for s, _, _ in reference.rules(document(layout, theta)["parameters"], seen)]
         np.testing.assert_allclose(np.ravel(found), np.asarray(naive) / sum(naive), atol=1e-12)
@@ -175,15 +177,15 @@ def test_weighted_averages_are_the_sum_over_firing_strengths():
     with jax.enable_x64(True):
         for theta, seen in zip(random_thetas(layout, 10), random_observations(10)):
             params = expand(layout, jnp.asarray(theta))
-            o = fntg.Observation(*jnp.asarray(seen))
-            strength = fntg.firing_strengths(params, o)
-            v, omega = fntg.weighted_averages(params, o)
+            o = Observation(*jnp.asarray(seen))
+            strength = network.firing_strengths(params, o)
+            v, omega = network.weighted_averages(params, o)
             np.testing.assert_allclose(v, (strength * params.V).sum(), atol=1e-12)
             np.testing.assert_allclose(omega, (strength * params.Omega).sum(), atol=1e-12)
 
 
 def test_obstacle_labels_know_left_from_right():
-    d = partial(fntg.obstacle_side, sigma=jnp.asarray([0.7, 0.7, 0.7]))
+    d = partial(network.obstacle_side, sigma=jnp.asarray([0.7, 0.7, 0.7]))
     left, right = d(jnp.float32(0.5)), d(jnp.float32(-0.5))
     assert left[0] > 0 == left[1]
     assert right[1] > 0 == right[0]
@@ -194,7 +196,7 @@ def test_obstacle_labels_know_left_from_right():
 
 
 def test_three_vanishing_labels_count_as_not_influencing():
-    shares = fntg.obstacle_side_shares(jnp.float32(0.01), jnp.asarray([1e-4, 1e-4, 1e6]))
+    shares = network.obstacle_side_shares(jnp.float32(0.01), jnp.asarray([1e-4, 1e-4, 1e6]))
     assert [float(x) for x in shares] == [0, 0, 1]
 
 
@@ -220,10 +222,12 @@ def test_mirror_28_is_exactly_equivariant():
 def test_scale_reading_and_limits():
     layout = LAYOUTS["paper-31"]
     params = jax.tree.map(jnp.zeros_like, expand(layout, np.zeros(31, np.float32)))
-    o = fntg.Observation(1.0, 0.5, 0.1, 0.2)
+    o = Observation(1.0, 0.5, 0.1, 0.2)
 
     def with_bias(b_21, b_22, **options):
-        found = fntg.command(params._replace(bias=jnp.asarray([b_21, b_22])), o, SMALL, **options)
+        found = network.command(
+            params._replace(bias=jnp.asarray([b_21, b_22])), o, SMALL, **options
+        )
         return [float(found.v), float(found.omega)]
 
     assert with_bias(2.5, -2.5) == pytest.approx([0.15, -1.0])

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fntg_jax import cli, export
+from fntg_jax import export
+from fntg_jax.commands import cli
+from fntg_jax.controller.layout import LAYOUTS, rules
 from fntg_jax.export import c_format, fll_format, numpy_format, verify
 from fntg_jax.files import inert_json
-from fntg_jax.layout import LAYOUTS, rules
 from tests.controllers import random_controller
 
 FLL = Path(__file__).parent / "fll"

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fntg_jax import ga, genome
+from fntg_jax.controller import genome
+from fntg_jax.learning import ga
 
 FITNESS = np.asarray([0.0, 1.0, 2.0, 3.0, 0.5, 10.0, 1.5, 2.0], np.float32)
 SIZE = len(FITNESS)
@@ -297,9 +298,9 @@ def test_floats_do_not_compile_twice():
 SEEDS = """
 import json, jax
 import numpy as np
-from fntg_jax.runner import train
-from fntg_jax.settings import TrainConfig
-from fntg_jax.ga import GAConfig
+from fntg_jax.running.runner import train
+from fntg_jax.running.settings import TrainConfig
+from fntg_jax.learning.ga import GAConfig
 def result(first, seeds):
     config = TrainConfig(seeds=seeds, first_seed=first, generations=4, ga=GAConfig(population=6))
     run = train(config)

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fntg_jax import genome
-from fntg_jax.layout import LAYOUTS
+from fntg_jax.controller import genome
+from fntg_jax.controller.layout import LAYOUTS
 
 widths = st.sampled_from([1, 2, 7, 15, 16, 24])
 codes = st.booleans()

@@ -10,8 +10,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fntg_jax import cli, export, replay
+from fntg_jax import export
+from fntg_jax.commands import cli
 from fntg_jax.export import c_format, fll_format, json_format, numpy_format
+from fntg_jax.showing import replay
 from tests.controllers import random_controller
 
 CONTROLLER = random_controller(provenance={"note": "plain", "seed": 1})

@@ -9,12 +9,12 @@ import time
 import numpy as np
 import pytest
 
-from fntg_jax import parallel
+from fntg_jax.running import parallel
 
 LONG = ("--seeds", "3", "--generations", "4000", "--ga.population", "8")
 EAGER = """
 import sys
-from fntg_jax import cli
+from fntg_jax.commands import cli
 from fntg_jax.commands import train
 train._CHECKPOINT_SECONDS = 0.0
 cli.main(sys.argv[1:])

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from envs import Command, Scene, kinematic, scenes
-from fntg_jax.layout import LAYOUTS, expand_scalars
-from fntg_jax.rollout import trajectory
+from fntg_jax.controller.layout import LAYOUTS, expand_scalars
+from fntg_jax.learning.rollout import trajectory
 from tests import reference
 from tests.examples import random_thetas
 

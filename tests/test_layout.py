@@ -2,7 +2,7 @@ import jax
 import numpy as np
 import pytest
 
-from fntg_jax.layout import LAYOUTS, Params, expand, expand_scalars, get_layout
+from fntg_jax.controller.layout import LAYOUTS, Params, expand, expand_scalars, get_layout
 from tests.examples import layouts, random_thetas
 
 each_layout = pytest.mark.parametrize("layout", layouts, ids=lambda x: x.name)

@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from fntg_jax import cli, memory
+from fntg_jax.commands import cli
+from fntg_jax.running import memory
 
 
 def test_prediction_counts_arguments_and_results():

@@ -7,10 +7,10 @@ import pytest
 # In a process of its own: the number of CPU devices is fixed when jax starts.
 PROGRAM = """
 import dataclasses, hashlib, json
-from fntg_jax import xla
+from fntg_jax.running import xla
 xla.configure(num_cpu_devices=4)
 import jax
-from fntg_jax import conclude as choice, runner, settings
+from fntg_jax.running import settings, final_choice as choice, runner
 
 def spread(seeds, counts, conclude):
     config = settings.PRESETS["robust"]

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fntg_jax import cli, export
+from fntg_jax import export
+from fntg_jax.commands import cli
 from tests.controllers import random_controller
 
 

@@ -10,9 +10,12 @@ import optax
 import pytest
 
 from envs import kinematic, scenes
-from fntg_jax import cli, export, refine, shipped, xla
-from fntg_jax.layout import LAYOUTS, expand_scalars
-from fntg_jax.rollout import trajectory
+from fntg_jax import export, shipped
+from fntg_jax.commands import cli
+from fntg_jax.controller.layout import LAYOUTS, expand_scalars
+from fntg_jax.learning import gradient
+from fntg_jax.learning.rollout import trajectory
+from fntg_jax.running import xla
 from tests.controllers import built_controller, random_controller
 from tests.examples import random_thetas
 
@@ -28,7 +31,7 @@ def run(cost_fn, optimiser, theta, num_steps=100):
     draw = lambda key: 0.01 * jax.random.normal(key, (3,))  # noqa: E731
     key, validation = jax.random.key(0), jnp.zeros(3)
     return jax.jit(
-        lambda t: refine.refine(key, t, cost_fn, draw, validation, optimiser, num_steps)
+        lambda t: gradient.refine(key, t, cost_fn, draw, validation, optimiser, num_steps)
     )(theta)
 
 
@@ -57,7 +60,7 @@ def test_gradients_that_are_not_finite_are_skipped_and_counted():
         )
 
     starts = jnp.asarray([[0.0, 0.0, 0.0], [-4.0, 0.0, 0.0]])
-    refined = run(cliff, refine.optimiser("adam", 100, 0.02), starts)
+    refined = run(cliff, gradient.optimiser("adam", 100, 0.02), starts)
     assert 0 < refined.num_skipped[0] <= 100
     assert refined.num_skipped[1] == 0  # one individual's trouble is not another's
     assert np.isfinite(refined.theta).all() and np.isfinite(refined.cost).all()
@@ -86,14 +89,14 @@ def test_as_many_steps_as_asked_for(num_steps):
 
 @pytest.mark.parametrize("name", ["adam", "sgd", "lion", "nadam"])
 def test_optimisers_by_name(name):
-    refined = run(bowl, refine.optimiser(name, 50, 0.05), jnp.zeros((2, 3)), 50)
+    refined = run(bowl, gradient.optimiser(name, 50, 0.05), jnp.zeros((2, 3)), 50)
     assert (refined.cost < refined.history[:, 0]).all()
 
 
 @pytest.mark.parametrize("name", ["moon", "lbfgs", "polyak_sgd", "apply_updates", "__doc__", ""])
 def test_what_is_no_first_order_optimiser_is_refused(name):
     with pytest.raises(ValueError, match=r"optimizer = .*allowed are") as refusal:
-        refine.optimiser(name, 10, 0.1)
+        gradient.optimiser(name, 10, 0.1)
     assert "\n" not in str(refusal.value)
 
 
@@ -134,7 +137,7 @@ def test_the_gradient_is_that_of_difference_quotients_away_from_jumps():
     with jax.enable_x64(True):
         as_double = lambda x: jnp.asarray(x, jnp.float64 if x.dtype == np.float32 else x.dtype)  # noqa: E731
         drawn = jax.tree.map(lambda x: as_double(x)[:, None], drawn)  # a batch of one each
-        batched = refine.smooth_problem(layout, env, scenes.paper, 1).cost_fn
+        batched = gradient.smooth_problem(layout, env, scenes.paper, 1).cost_fn
         cost_fn = lambda theta, scenes: batched(theta[None], scenes)[0]  # noqa: E731
         slope = jax.jit(jax.vmap(jax.vmap(jax.grad(cost_fn), (None, 0)), (0, None)))
         found = np.asarray(slope(jnp.asarray(thetas), drawn))  # [P, T, genes]
@@ -188,10 +191,10 @@ def bowl_problem(monkeypatch):
 
     def problem(layout, env, suite, num_scenes, output, seed):
         cost = lambda theta, scenes: jnp.mean((theta - 1) ** 2, axis=-1) + 0 * jnp.sum(scenes)  # noqa: E731
-        return refine.Problem(cost, lambda key: jnp.zeros(num_scenes), jnp.zeros(5))
+        return gradient.Problem(cost, lambda key: jnp.zeros(num_scenes), jnp.zeros(5))
 
-    monkeypatch.setattr(refine, "smooth_problem", problem)
-    monkeypatch.setattr("fntg_jax.evaluation.held_out_suites", lambda world: ["open"])
+    monkeypatch.setattr(gradient, "smooth_problem", problem)
+    monkeypatch.setattr("fntg_jax.running.evaluation.held_out_suites", lambda world: ["open"])
 
 
 @pytest.mark.parametrize("method", ["gradient", "cma"])

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fntg_jax import cli, evaluation, replay, runfolder, runner, settings
-from fntg_jax.fitness import success
+from fntg_jax.commands import cli
+from fntg_jax.learning.fitness import success
+from fntg_jax.running import evaluation, run_folder, runner, settings
+from fntg_jax.showing import replay
 from tests.controllers import random_controller
 from tests.small_run import small_run
 
@@ -126,25 +128,25 @@ def test_animation(panels, image_format):
 
 
 @pytest.fixture
-def run_folder():
+def folder_and_run():
     folder = small_run()
-    return folder, runfolder.restore(folder)
+    return folder, run_folder.restore(folder)
 
 
-def test_controllers_of_generations(run_folder):
-    folder, run = run_folder
-    best = runfolder.controller(run)
+def test_controllers_of_generations(folder_and_run):
+    folder, run = folder_and_run
+    best = run_folder.controller(run)
     index = best.provenance["seed"] - 5
     theta = runner.decode_history(run.history(), run.config)
     for generation in (1, 2):
-        found = runfolder.controller_of_generation(folder, generation)
+        found = run_folder.controller_of_generation(folder, generation)
         np.testing.assert_array_equal(found.theta, theta[index, generation - 1].astype(float))
     with pytest.raises(ValueError, match="generation = 3: the run has 1 to 2"):
-        runfolder.controller_of_generation(folder, 3)
+        run_folder.controller_of_generation(folder, 3)
 
 
-def test_replay_command(run_folder, tmp_path, capsys):
-    folder, _ = run_folder
+def test_replay_command(folder_and_run, tmp_path, capsys):
+    folder, _ = folder_and_run
     out = tmp_path / "replay.html"
     cli.main(["replay", str(folder), "--generations", "1", "2", "--scene", "1", "--out", str(out)])
     assert capsys.readouterr().out == f"{out}\n"
@@ -162,10 +164,10 @@ def test_replay_command(run_folder, tmp_path, capsys):
         (["--suite", "no"], "suite = 'no': known are"),
     ],
 )
-def test_bad_input_is_one_line(run_folder, capsys, arguments, message, tmp_path, monkeypatch):
+def test_bad_input_is_one_line(folder_and_run, capsys, arguments, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as stop:
-        cli.main(["replay", str(run_folder[0]), *arguments])
+        cli.main(["replay", str(folder_and_run[0]), *arguments])
     assert stop.value.code == 2
     said = capsys.readouterr().err
     assert said.startswith(f"fntg: error: {message}")
@@ -174,10 +176,10 @@ def test_bad_input_is_one_line(run_folder, capsys, arguments, message, tmp_path,
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 not a zip", None])
-def test_damaged_history_is_one_line(run_folder, tmp_path, damage):
+def test_damaged_history_is_one_line(folder_and_run, tmp_path, damage):
     folder = tmp_path / "copy"
-    shutil.copytree(run_folder[0], folder)
+    shutil.copytree(folder_and_run[0], folder)
     path = folder / "history.npz"
     path.write_bytes(path.read_bytes()[:-40] if damage is None else damage)
     with pytest.raises(ValueError, match=r"history\.npz: not the history of this run"):
-        runfolder.controller_of_generation(folder, 1)
+        run_folder.controller_of_generation(folder, 1)

@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from fntg_jax import cli
+from fntg_jax.commands import cli
 from tests.small_run import small_run
 
 

@@ -8,9 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fntg_jax import conclude, fitness, ga, genome, objective, runner, settings
-from fntg_jax.layout import get_layout
-from fntg_jax.rollout import Outcome
+from fntg_jax.controller import genome
+from fntg_jax.controller.layout import get_layout
+from fntg_jax.learning import fitness, ga, objective
+from fntg_jax.learning.rollout import Outcome
+from fntg_jax.running import final_choice, runner, settings
 
 
 def test_islands_do_not_mix():
@@ -105,9 +107,9 @@ def test_the_final_controller_is_the_best_of_its_population_on_validation_scenes
 
 def test_the_first_look_at_a_population_is_on_every_suite_of_the_mix():
     suites = np.repeat([0, 1], [819, 1229])  # validation scenes come suite by suite
-    seen = conclude._spread(suites)
+    seen = final_choice._spread(suites)
     assert len(seen) == 256 and (seen == 0).sum() == 103
-    np.testing.assert_array_equal(conclude._spread(np.arange(3)), np.arange(3))
+    np.testing.assert_array_equal(final_choice._spread(np.arange(3)), np.arange(3))
 
 
 def test_refinement_on_few_fixed_scenes_is_validated_on_others():

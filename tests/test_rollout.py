@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 from envs import kinematic, scenes
-from fntg_jax import fitness, fntg
-from fntg_jax import rollout as rollout_module
-from fntg_jax.layout import LAYOUTS, expand_scalars
-from fntg_jax.rollout import SAMPLE_STEPS, outcome_of, rollout, rollout_pairs, trajectory
+from envs.base import Limits
+from fntg_jax.controller.layout import LAYOUTS, expand_scalars
+from fntg_jax.learning import fitness
+from fntg_jax.learning import rollout as rollout_module
+from fntg_jax.learning.rollout import SAMPLE_STEPS, outcome_of, rollout, rollout_pairs, trajectory
 from tests import reference
 from tests.examples import document, random_thetas
 
 NUM_THETAS = 6
-LIMITS = fntg.Limits(-0.1, 0.3, 2.0)
+LIMITS = Limits(-0.1, 0.3, 2.0)
 
 
 def some(suite, num):

@@ -8,7 +8,12 @@ import jax
 import numpy as np
 import pytest
 
-from fntg_jax import cli, evaluation, export, fntg, labels, layout, rules, settings
+from envs.base import Limits, Observation
+from fntg_jax import export
+from fntg_jax.commands import cli
+from fntg_jax.controller import labels, layout
+from fntg_jax.running import evaluation, settings
+from fntg_jax.showing import rules
 from tests.controllers import built_controller, random_controller
 
 WORLD = settings.get_world("kinematic")
@@ -72,9 +77,9 @@ def test_labels_follow_the_shares(seed):
 
 @pytest.mark.parametrize(("name", "num"), [("paper-31", 16), ("full-63", 24)])
 def test_strengths_and_outputs_add_up_to_the_command(name, num):
-    controller = random_controller(name, 1, output="clip", limits=fntg.Limits(-10.0, 10.0, 10.0))
+    controller = random_controller(name, 1, output="clip", limits=Limits(-10.0, 10.0, 10.0))
     rng = np.random.default_rng(0)
-    seen = fntg.Observation(*rng.uniform(-1, 1, (4, 50)).astype(np.float32))
+    seen = Observation(*rng.uniform(-1, 1, (4, 50)).astype(np.float32))
     strengths = np.asarray(rules.rule_strengths(controller, seen))
     assert strengths.shape == (50, num) == (50, len(layout.rules(controller.layout)))
     commands = np.stack(controller(*seen), axis=-1)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import fntg_jax
-from fntg_jax import cli, evaluation, settings
+from fntg_jax.commands import cli
+from fntg_jax.running import evaluation, settings
 from tests import reference
 
 DOCUMENT = json.loads(fntg_jax.shipped("bioa").read_text())

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fntg_jax import runner, settings, sweep, sweep_report
+from fntg_jax.running import runner, settings, sweep
+from fntg_jax.showing import sweep_report
 
 TINY = dataclasses.replace(
     settings.PRESETS["paper"],
@@ -44,14 +45,14 @@ def test_a_setting_equals_training_with_its_values(swept, n):
 
 
 def test_success_is_what_evaluate_counts(swept):
-    from fntg_jax import evaluation, runfolder
+    from fntg_jax.running import evaluation, run_folder
 
     table, _ = swept
     config = sweep.apply(TINY, table.settings[6])
     run = runner.Run(config)
     result = runner.Result(table.theta[6], table.best[6], None, None)
     for seed in (3, 4):
-        found = runfolder.controller(run, seed, result)
+        found = run_folder.controller(run, seed, result)
         rate = evaluation.evaluate(found, run.world, "open", 50).rates["success"]
         assert rate.share == pytest.approx(table.success["open"][6, seed - 3], abs=1e-6)
 

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 import fntg_jax
-from fntg_jax import cli, export, genome, runfolder, runner, settings, warmstart, xla
+from fntg_jax import export
+from fntg_jax.commands import cli
+from fntg_jax.controller import genome
+from fntg_jax.running import run_folder, runner, settings, warmstart, xla
 from tests.small_run import small_run
 
 CONFIG = dataclasses.replace(
@@ -38,7 +41,7 @@ def genes(config, state):
 
 def test_the_same_shape_takes_over_the_last_populations(source):
     run = runner.start(warm(source))
-    last = runfolder.restore(source).state
+    last = run_folder.restore(source).state
     np.testing.assert_array_equal(run.state.bits, last.bits)
     assert run.generation == 0 and run.origin == f"the populations of {source}"
     # All but the populations is that of a new run: its keys are not the old ones.
@@ -46,7 +49,7 @@ def test_the_same_shape_takes_over_the_last_populations(source):
     assert (jax.random.key_data(run.state.key) == jax.random.key_data(fresh.key)).all()
     assert np.isneginf(run.state.best_fitness).all()
     # An elite on the same scenes: it goes on from where it was.
-    before = runfolder.load_history(source).best[:, -1]
+    before = run_folder.load_history(source).best[:, -1]
     assert (runner.complete(run).history().best[:, 0] >= before).all()
 
 
@@ -78,7 +81,7 @@ def test_a_file_and_another_world(source):
     found = genes(from_file, runner.start(from_file).state)
     np.testing.assert_allclose(found[:, 0], fntg_jax.load(source).theta[None].repeat(2, 0), 1e-4)
     from_run = warm(source, env_options=options)  # the populations fit in any world
-    last = runfolder.restore(source).state.bits
+    last = run_folder.restore(source).state.bits
     np.testing.assert_array_equal(runner.start(from_run).state.bits, last)
 
 
@@ -96,7 +99,7 @@ def test_command_and_resume_after_the_source_is_gone(source, tmp_path, capsys, m
     warm_start = ["--warm-start", str(source)]
     cli.main(["train", *small, *warm_start, "--out", str(whole)])
     assert f"starting from the populations of {source}" in capsys.readouterr().err
-    config = runfolder.load_config(whole)
+    config = run_folder.load_config(whole)
     assert json.loads((whole / "config.json").read_text())["warm_start"] == str(source)
 
     # As `train` leaves it when it is killed before the first checkpoint of evolution.
@@ -107,11 +110,11 @@ def test_command_and_resume_after_the_source_is_gone(source, tmp_path, capsys, m
         cli.main(["train", *small, *warm_start, "--out", str(part)])
     monkeypatch.undo()
     with pytest.raises(ValueError, match="nothing recorded yet"):
-        runfolder.load_history(part)
+        run_folder.load_history(part)
     shutil.rmtree(source)
-    resumed = runner.complete(runfolder.restore(part))
+    resumed = runner.complete(run_folder.restore(part))
     assert resumed.config == config
-    for found, expected in zip(resumed.history(), runfolder.load_history(whole)):
+    for found, expected in zip(resumed.history(), run_folder.load_history(whole)):
         np.testing.assert_array_equal(found, expected)
 
 

@@ -48,12 +48,3 @@ FRICTION = 1.0  # rubber soles on carpet, assumed
 # The point of the body's frame that is brought to the ball's centre: below the nose, where a
 # lying ball touches nothing (chest at 0.10 m + ball radius 0.042 m).
 CAPTURE_X = 0.145
-
-LANDMARKS = {  # x, y, lower and upper colour (Gutmann & Fox data set)
-    "landmark_left_back": (-1.5, 1.0, "green", "pink"),
-    "landmark_left_middle": (0.0, 1.0, "pink", "green"),
-    "landmark_left_front": (1.5, 1.0, "yellow", "pink"),
-    "landmark_right_back": (-1.5, -1.0, "pink", "yellow"),
-    "landmark_right_middle": (0.0, -1.0, "skyblue", "pink"),
-    "landmark_right_front": (1.5, -1.0, "pink", "skyblue"),
-}

@@ -8,7 +8,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from envs.base import Limits, Observation, Scalar, Scene, Snapshot
-from envs.field import Ball, Disc, Field, bearing, distance, move_disc, nearest_obstacle, roll_ball
+from envs.field import (
+    FIELD,
+    Ball,
+    Disc,
+    Field,
+    bearing,
+    distance,
+    move_disc,
+    nearest_obstacle,
+    roll_ball,
+)
 from envs.quadruped import constants as c
 from envs.quadruped import physics
 from envs.quadruped.locomotion import Gait, follow, load_gait, set_points
@@ -58,7 +68,7 @@ class Quadruped:
     fall_height: Scalar = 0.06
     ball_deceleration: Scalar = 0.05
     solver: physics.Solver = dataclasses.field(default=physics.Solver(), metadata={"static": True})
-    field: Field = dataclasses.field(default=Field(), metadata={"static": True})
+    field: Field = dataclasses.field(default=FIELD, metadata={"static": True})
     rest: Float[Array, "19"] | None = None
 
     def __post_init__(self):

@@ -252,7 +252,7 @@ def _field() -> str:
             box(side * (half_x + 0.01), flank * (mouth + part), (0.01, part), white)
             box(side * (half_x + 0.5 * depth), flank * mouth, (0.5 * depth, 0.005), goal, 0.1, 0.1)
         box(side * (half_x + depth), 0, (0.005, mouth), goal, 0.1, 0.1)
-    for name, (x, y, lower, upper) in c.LANDMARKS.items():
+    for name, x, y, lower, upper in FIELD.landmarks:
         for z, colour in ((0.15, "white"), (0.25, lower), (0.35, upper)):
             rgba = _COLOURS.get(colour, white)
             label = f'name="{name}" ' if z == 0.35 else ""

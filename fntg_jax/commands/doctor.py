@@ -5,8 +5,8 @@ import os
 import platform
 from importlib import metadata
 
-from fntg_jax import xla
-from fntg_jax.cli import parse
+from fntg_jax.commands.cli import parse
+from fntg_jax.running import xla
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from fntg_jax import xla
-from fntg_jax.cli import load_controller, parse, say
+from fntg_jax.commands.cli import load_controller, parse, say
+from fntg_jax.running import xla
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +40,7 @@ def main(argv: list[str]) -> None:
     if picture is not None and (picture.suffix != ".png" or not picture.parent.is_dir()):
         raise ValueError(f"failures = {picture}: allowed is a .png file in a folder that exists")
     xla.configure()
-    from fntg_jax import evaluation, settings
+    from fntg_jax.running import evaluation, settings
 
     controller = load_controller(options.controller)
     name = options.env or controller.env
@@ -55,7 +55,7 @@ def main(argv: list[str]) -> None:
     ]
     say(f"world {name}")
     if picture is not None:
-        from fntg_jax import failures
+        from fntg_jax.showing import failures
 
         try:
             say(f"failures {failures.picture(controller, world, env, results, picture)}")

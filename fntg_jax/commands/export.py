@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from fntg_jax.cli import load_controller, parse, say
+from fntg_jax.commands.cli import load_controller, parse, say
 
 
 @dataclasses.dataclass(frozen=True)

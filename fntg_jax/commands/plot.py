@@ -6,8 +6,8 @@ from typing import Annotated
 
 import tyro
 
-from fntg_jax import xla
-from fntg_jax.cli import load_controller, parse
+from fntg_jax.commands.cli import load_controller, parse
+from fntg_jax.running import xla
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +29,8 @@ def main(argv: list[str]) -> None:
     if not 1 <= len(options.controllers) <= 2:
         raise ValueError(f"{len(options.controllers)} controllers: allowed are one or two")
     xla.configure()
-    from fntg_jax import plot_controller, settings
+    from fntg_jax.running import settings
+    from fntg_jax.showing import plot_controller
 
     controllers = [(str(path), load_controller(path)) for path in options.controllers]
     field = settings.get_world(options.env).field

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from fntg_jax import xla
-from fntg_jax.cli import load_controller, parse, say
+from fntg_jax.commands.cli import load_controller, parse, say
+from fntg_jax.running import xla
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,15 +62,17 @@ def main(argv: list[str]) -> None:
     import jax.numpy as jnp
     import numpy as np
 
-    from fntg_jax import cma, evaluation, export, refine, settings
+    from fntg_jax import export
+    from fntg_jax.learning import cma, gradient
+    from fntg_jax.running import evaluation, settings
 
     controller = load_controller(options.controller)
     world = settings.get_world(options.env)
     suite = settings.get_suite(world, options.suite)
-    optimiser = refine.optimiser(options.optimizer, options.steps, options.rate)
+    optimiser = gradient.optimiser(options.optimizer, options.steps, options.rate)
     gradient = options.method == "gradient"
     env = evaluation.environment_for(controller, world, **options.env_options)
-    problem = refine.smooth_problem(
+    problem = gradient.smooth_problem(
         controller.layout, env, suite, options.scenes, controller.output, options.seed
     )
     say(
@@ -81,7 +83,7 @@ def main(argv: list[str]) -> None:
     key = jax.random.key(options.seed)
 
     def descend(theta):
-        found = refine.refine(key, theta[None], *problem, optimiser, options.steps)
+        found = gradient.refine(key, theta[None], *problem, optimiser, options.steps)
         return jax.tree.map(lambda x: x[0], found)
 
     def adapt(theta):
@@ -138,7 +140,7 @@ def _refined(controller: Any, refined: Any, options: RefineOptions) -> Any:
 
 def _compare(old: Any, new: Any, world: Any, env: Any) -> None:
     """Success on held-out scenes, from which nothing was learnt or chosen."""
-    from fntg_jax import evaluation
+    from fntg_jax.running import evaluation
 
     num_scenes = 2000
     say(f"success on {num_scenes} held-out scenes (95 % interval):")

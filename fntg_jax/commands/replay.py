@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import tyro
 
-from fntg_jax import xla
-from fntg_jax.cli import load_controller, parse, say
+from fntg_jax.commands.cli import load_controller, parse, say
+from fntg_jax.running import xla
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,14 +45,14 @@ def main(argv: list[str]) -> None:
     if not options.controllers:
         raise ValueError("no controller given: name a params.json or a run folder")
     xla.configure()
-    from fntg_jax import runfolder, settings
+    from fntg_jax.running import run_folder, settings
 
     titled = []
     for path in options.controllers:
         folder = os.path.isdir(path)
         if options.generations and folder:
             titled += [
-                (f"{path.name}, generation {g}", runfolder.controller_of_generation(path, g))
+                (f"{path.name}, generation {g}", run_folder.controller_of_generation(path, g))
                 for g in options.generations
             ]
         else:
@@ -82,7 +82,7 @@ def _recorded(record: Any, trials: Any, options: ReplayOptions, **more: Any) -> 
 
 def _draw(trials: Any, options: ReplayOptions) -> None:
     """From above: a page, or a picture."""
-    from fntg_jax import replay
+    from fntg_jax.showing import replay
 
     panels = _recorded(replay.record, trials, options)
     suffix = options.out.suffix.lower()
@@ -98,7 +98,7 @@ def _draw(trials: Any, options: ReplayOptions) -> None:
 
 def _film(trials: Any, options: ReplayOptions) -> None:
     """By the world itself: a picture and its key frames."""
-    from fntg_jax import film
+    from fntg_jax.showing import film
 
     say("simulating and drawing ...")
     shots = _recorded(film.shoot, trials, options)
@@ -114,7 +114,7 @@ def _view(trials: Any, options: ReplayOptions, films: bool) -> None:
         raise ValueError("view: only worlds with a walking robot have a viewer (env = quadruped)")
     if len(trials) * len(options.scene) > 1:
         raise ValueError("view: name one controller and one scene")
-    from fntg_jax import film
+    from fntg_jax.showing import film
 
     (shot,) = _recorded(film.shoot, trials, options, window=True)
     say(f"{shot.title}, {shot.scene}: {shot.result}")

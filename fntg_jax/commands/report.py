@@ -6,8 +6,8 @@ from typing import Annotated
 
 import tyro
 
-from fntg_jax import xla
-from fntg_jax.cli import parse, say
+from fntg_jax.commands.cli import parse, say
+from fntg_jax.running import xla
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,8 +28,8 @@ class ReportOptions:
 def main(argv: list[str]) -> None:
     options = parse(ReportOptions, argv, "report")
     xla.configure()
-    from fntg_jax import report
     from fntg_jax.files import write_atomically
+    from fntg_jax.showing import report
 
     out = options.out or options.run / "report.html"
     data = report.page(options.run, options.scenes, options.suite).encode()

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from fntg_jax import xla
-from fntg_jax.cli import load_controller, parse
+from fntg_jax.commands.cli import load_controller, parse
+from fntg_jax.running import xla
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +33,8 @@ class RulesOptions:
 def main(argv: list[str]) -> None:
     options = parse(RulesOptions, argv, "rules")
     xla.configure()
-    from fntg_jax import rules, settings
+    from fntg_jax.running import settings
+    from fntg_jax.showing import rules
 
     controller = load_controller(options.controller)
     world = settings.get_world(options.env or controller.env)

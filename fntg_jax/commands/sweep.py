@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import tyro
 
-from fntg_jax import xla
-from fntg_jax.cli import say
+from fntg_jax.commands.cli import say
 from fntg_jax.commands.train import generation_bar, parse_over_preset
+from fntg_jax.running import xla
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +39,8 @@ def main(argv: list[str]) -> None:
     if not options.axis:
         raise ValueError("axis: none given; e.g. --axis ga.mutation_rate=0.0003,0.001,0.003")
     xla.configure(num_cpu_devices=os.cpu_count() or 1)
-    from fntg_jax import sweep, sweep_report
+    from fntg_jax.running import sweep
+    from fntg_jax.showing import sweep_report
 
     axes: dict[str, list[Any]] = {}
     for text in options.axis:

@@ -12,8 +12,8 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from fntg_jax import xla
-from fntg_jax.cli import parse, say
+from fntg_jax.commands.cli import parse, say
+from fntg_jax.running import xla
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +52,7 @@ def main(argv: list[str]) -> None:
         if names - {f"--{x}" for x in _WITH_RESUME}:
             raise ValueError("--resume takes the run folder and no other option of training")
     xla.configure(num_cpu_devices=os.cpu_count() or 1)
-    from fntg_jax import hosts, runfolder, settings
+    from fntg_jax.running import hosts, run_folder, settings
 
     if options.distributed:
         hosts.join(*meeting)
@@ -62,7 +62,7 @@ def main(argv: list[str]) -> None:
         folder = options.out or Path("runs") / f"{options.preset}-{stamp}"
 
         def create() -> bytes:
-            runfolder.create(folder, options.config)
+            run_folder.create(folder, options.config)
             return b""
 
         hosts.from_first(create)
@@ -71,7 +71,7 @@ def main(argv: list[str]) -> None:
             _train(folder, options.resume is not None)
         except ValueError:
             if options.resume is None:
-                runfolder.discard(folder)
+                run_folder.discard(folder)
             raise
 
 
@@ -81,12 +81,12 @@ _WITH_RESUME = ("resume", "distributed", "coordinator", "num-processes", "proces
 def _train(folder: Path, resumed: bool) -> None:
     import jax
 
-    from fntg_jax import hosts, runfolder
+    from fntg_jax.running import hosts, run_folder
 
-    run = runfolder.restore(folder)
+    run = run_folder.restore(folder)
     if run.origin:
         # What it starts from may be gone when the run is resumed.
-        runfolder.save_checkpoint(folder, run)
+        run_folder.save_checkpoint(folder, run)
         say(f"starting from {run.origin}")
     config = run.config
     where = f"folder {folder}"
@@ -109,7 +109,7 @@ def _train(folder: Path, resumed: bool) -> None:
             what = ", then refining them" if config.refine_steps else ""
             say(f"choosing the controllers on validation scenes{what} ...")
         with progress_bar("refinement step") as show:
-            figure, result = runfolder.finish(
+            figure, result = run_folder.finish(
                 folder, run, lambda done, total, best: show(done, total, f"best {best:.4g}")
             )
     except OSError as error:
@@ -124,7 +124,7 @@ def _train(folder: Path, resumed: bool) -> None:
 def parse_over_preset(cls: type, argv: list[str], command: str) -> Any:
     """Options of `cls`, and as its field `config` those of `settings.TrainConfig` over the
     preset's."""
-    from fntg_jax import settings
+    from fntg_jax.running import settings
 
     preset = _preset(argv, list(settings.PRESETS))
     # Here and not at the top, because `settings` loads jax.
@@ -157,7 +157,7 @@ _CHECKPOINT_SECONDS = 2.0
 
 def _learn(run: Any, folder: Path) -> None:
     """Advance a run to its end, with progress on stderr, leaving a checkpoint when stopped."""
-    from fntg_jax import hosts, memory, runfolder
+    from fntg_jax.running import hosts, memory, run_folder
 
     wanted: list[int] = []
     handlers = {s: signal.signal(s, lambda n, _: wanted.append(n)) for s in _STOP}
@@ -174,7 +174,7 @@ def _learn(run: Any, folder: Path) -> None:
                 # Of several processes all save, and stop, when one wants to.
                 due, stop = hosts.largest(due, wanted[0] if wanted else 0)
                 if due or run.done or stop:
-                    runfolder.save_checkpoint(folder, run)
+                    run_folder.save_checkpoint(folder, run)
                     saved = time.monotonic()
                 show(progress)
     except OSError as error:

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from fntg_jax.controller.controller import Controller, from_bits
 from fntg_jax.export import c_format, fll_format, json_format, numpy_format
-from fntg_jax.export.controller import Controller, from_bits
 from fntg_jax.export.json_format import dumps, loads, save, schema
 
 __all__ = [

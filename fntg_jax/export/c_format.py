@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fntg_jax import fntg
-from fntg_jax.export.controller import Controller
+from fntg_jax.controller import network
+from fntg_jax.controller.controller import Controller
 from fntg_jax.files import inert_json
 
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2")
@@ -133,7 +133,7 @@ class CRun(NamedTuple):
 def dumps(controller: Controller) -> str:
     """The header as text."""
     p, limits = controller.params, controller.limits
-    gains = fntg.output_gains(limits, controller.output)
+    gains = network.output_gains(limits, controller.output)
     lines = []
     for name, table in (("v", p.V), ("w", p.Omega)):
         for i, k in np.ndindex(2, 2):

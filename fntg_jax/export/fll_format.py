@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from fntg_jax import fntg
+from fntg_jax.controller import network
+from fntg_jax.controller.controller import Controller
+from fntg_jax.controller.layout import get_layout, rules
 from fntg_jax.export import json_format
-from fntg_jax.export.controller import Controller
 from fntg_jax.files import inert_json
-from fntg_jax.layout import get_layout, rules
 
 _INPUTS = (("d_ball", "A", "0 4"), ("d_obstacle", "B", "-1 1"), ("theta_ball", "C", "-3.2 3.2"))
 
@@ -22,7 +22,7 @@ _INPUTS = (("d_ball", "A", "0 4"), ("d_obstacle", "B", "-1 1"), ("theta_ball", "
 def dumps(controller: Controller) -> str:
     """The engine as text, in the shortest decimals that read back exactly."""
     p, limits = controller.params, controller.limits
-    gains = fntg.output_gains(limits, controller.output)
+    gains = network.output_gains(limits, controller.output)
     about = {
         "layout": controller.layout.name,
         "output": controller.output,

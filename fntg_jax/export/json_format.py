@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from fntg_jax import fntg, genome
-from fntg_jax.export.controller import Controller
+from envs.base import Limits
+from fntg_jax.controller import genome
+from fntg_jax.controller.controller import Controller
+from fntg_jax.controller.layout import get_layout
 from fntg_jax.files import write_atomically
-from fntg_jax.layout import get_layout
 
 FORMAT, VERSION = "fntg-params", 1
 
@@ -123,7 +124,7 @@ def from_dict(document: Any, source: str) -> Controller:
         refuse(str(unknown))
     if len(document["theta"]) != layout.num_genes:
         refuse(f"theta: {len(document['theta'])} genes, {layout.name} has {layout.num_genes}")
-    limits = fntg.Limits(**{k: float(v) for k, v in document["limits"].items()})
+    limits = Limits(**{k: float(v) for k, v in document["limits"].items()})
     if limits.v_min >= limits.v_max:
         refuse(f"limits: v_min = {limits.v_min} must be below v_max = {limits.v_max}")
     controller = Controller(

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from fntg_jax import fntg
-from fntg_jax.export.controller import Controller
+from envs.base import Limits
+from fntg_jax.controller import network
+from fntg_jax.controller.controller import Controller
 from fntg_jax.files import inert_json
 
 _TEMPLATE = '''\
@@ -65,7 +66,7 @@ def _sides(theta):
 def dumps(controller: Controller) -> str:
     """The file as text."""
     limits = {k: float(v) for k, v in controller.limits._asdict().items()}
-    gains = fntg.output_gains(fntg.Limits(**limits), controller.output)
+    gains = network.output_gains(Limits(**limits), controller.output)
     p = controller.params
     plain = {field: np.asarray(value).tolist() for field, value in p._asdict().items()}
     return _TEMPLATE.format(

@@ -1,7 +1,7 @@
 """Exports against a float64 reference that is written from the paper's equations alone.
 
-The reference sums over rules, shares no code with `fntg_jax.fntg` and reads only the expanded
-parameters.
+The reference sums over rules, shares no code with `controller.network` and reads only the
+expanded parameters.
 """
 
 from collections.abc import Callable
@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fntg_jax.export.controller import Controller
-from fntg_jax.layout import HIGH
+from fntg_jax.controller.controller import Controller
+from fntg_jax.controller.layout import HIGH
 
 NUM_OBSERVATIONS = 20_000
 FLOAT64, FLOAT32 = 1e-12, 1e-4  # largest error of v and omega as a share of their limits

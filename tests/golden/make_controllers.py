@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fntg_jax import export, fntg
-from fntg_jax.layout import LAYOUTS
+from envs.base import Limits
+from fntg_jax import export
+from fntg_jax.controller.layout import LAYOUTS
 
 NUM_BITS = 15
 
@@ -15,7 +16,7 @@ def main():
     for n, layout in enumerate(LAYOUTS.values()):
         # Limits wide enough that most outputs lie between them.
         clip = n % 2 == 1
-        limits = fntg.Limits(-2.0, 4.0, 4.0) if clip else fntg.Limits(-0.2, 0.3, 1.5)
+        limits = Limits(-2.0, 4.0, 4.0) if clip else Limits(-0.2, 0.3, 1.5)
         controller = export.from_bits(
             layout,
             rng.integers(0, 2, layout.num_genes * NUM_BITS) == 1,

@@ -17,9 +17,10 @@ from scipy.stats import spearmanr
 from envs import scenes as suites
 from envs.base import Command
 from envs.quadruped import make, native
-from fntg_jax import fitness, fntg
-from fntg_jax.layout import expand, get_layout
-from fntg_jax.rollout import Outcome, rollout_pairs
+from fntg_jax.controller import network
+from fntg_jax.controller.layout import expand, get_layout
+from fntg_jax.learning import fitness
+from fntg_jax.learning.rollout import Outcome, rollout_pairs
 
 LAYOUT = get_layout("paper-31")
 ROOT = Path(__file__).parents[2]
@@ -36,7 +37,7 @@ def test_closed_loop_ranks_like_c_over_240_roll_outs():
     theta = jax.random.uniform(jax.random.key(1), (60, 31), minval=-5, maxval=5)
     ours = jax.jit(lambda t, s: rollout_pairs(LAYOUT, t, s, env))(theta, scenes)
     params = expand(LAYOUT, jnp.repeat(theta, 4, axis=0))
-    control = jax.vmap(lambda p, seen: fntg.command(p, seen, env.limits))
+    control = jax.vmap(lambda p, seen: network.command(p, seen, env.limits))
     episode = native.run(env, _flat(scenes, 60), lambda seen, _: control(params, seen))
     steps = np.array([170, 200, 220])
     theirs = Outcome(

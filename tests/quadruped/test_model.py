@@ -3,6 +3,7 @@ import pytest
 
 mujoco = pytest.importorskip("mujoco")
 
+from envs.field import FIELD  # noqa: E402
 from envs.quadruped import constants as c  # noqa: E402
 from envs.quadruped import mjcf  # noqa: E402
 from envs.quadruped.physics import Solver, compile_model  # noqa: E402
@@ -88,7 +89,7 @@ def test_feet_of_a_standing_dog_carry_its_weight(full):
 
 def test_field_has_goals_and_six_landmarks(full):
     names = {full.geom(i).name for i in range(full.ngeom)}
-    assert set(c.LANDMARKS) <= names
+    assert {mark.name for mark in FIELD.landmarks} <= names
     assert {"wall_front", "wall_back", "wall_left", "wall_right", "ball"} <= names
 
 

@@ -8,7 +8,8 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from fntg_jax import ga, runfolder, runner, settings
+from fntg_jax.learning import ga
+from fntg_jax.running import run_folder, runner, settings
 
 pytestmark = pytest.mark.slow
 
@@ -54,13 +55,13 @@ def test_resumed_is_uninterrupted(tmp_path):
     )
     whole = runner.train(config).conclude()
     folder = tmp_path / "part"
-    runfolder.create(folder, config)
+    run_folder.create(folder, config)
     run = runner.Run(config)
     run.compile()
     run.advance()
     assert run.generation < 3
-    runfolder.save_checkpoint(folder, run)
-    again = runner.complete(runfolder.restore(folder)).conclude()
+    run_folder.save_checkpoint(folder, run)
+    again = runner.complete(run_folder.restore(folder)).conclude()
     np.testing.assert_array_equal(again.theta, whole.theta)
     np.testing.assert_array_equal(again.fitness, whole.fitness)
 

@@ -1,0 +1,311 @@
+"""The genetic algorithm, wholly on-device: small pure operators, `generation`, `evolve`.
+
+Fitness is maximised.  Keys go in and never come out: generation n uses fold_in(key, n), so
+that a run resumes from (bits, key, n) alone.  Every float of the configuration is traced: two
+settings that differ only in floats share one compilation, and a sweep over them is one vmap.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from fntg_jax.controller import genome
+
+Selection = Literal["roulette", "sus", "rank", "tournament", "truncation"]
+# (key, theta) -> fitness.
+FitnessFn = Callable[[Key[Array, ""], Float[Array, "P genes"]], Float[Array, " P"]]
+
+
+def _static(default):
+    return dataclasses.field(default=default, metadata={"static": True})
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class GAConfig:
+    """Settings; the defaults are the paper's (roulette wheel is our reading of "the candidate
+    with higher value had the higher opportunity to reproduce").
+
+    Attributes:
+        population: genomes; even, and so within each island.
+        num_bits: bits a gene.
+        gray: Gray code instead of plain binary.
+        selection: roulette; sus: stochastic universal sampling; rank: linear; tournament;
+            truncation.
+        num_points: cuts of the crossover.
+        tournament_size: rivals of a tournament.
+        num_islands: the population is split into so many, which never mix.
+        crossover_rate: share of pairs that are crossed.
+        mutation_rate: probability to flip, a bit, at the start.
+        mutation_decay: the rate falls geometrically to this share of it at the horizon.
+        num_elites: best genomes copied unchanged, of each island.
+        rank_pressure: expected copies of the best under rank selection, 1 to 2.
+        truncation_share: share of the population that breeds under truncation.
+        horizon: generations that the decay refers to; the runner sets it.
+    """
+
+    population: int = _static(60)
+    num_bits: int = _static(15)
+    gray: bool = _static(False)
+    selection: Selection = _static("roulette")
+    num_points: int = _static(3)
+    tournament_size: int = _static(2)
+    num_islands: int = _static(1)
+    crossover_rate: float = 1.0
+    mutation_rate: float = 0.001
+    mutation_decay: float = 1.0
+    num_elites: int = 1
+    rank_pressure: float = 1.8
+    truncation_share: float = 0.5
+    horizon: float = 95.0
+
+
+def validate(config: GAConfig) -> None:
+    """Check a configuration at the edge.  Raises ValueError: field, value, what is allowed."""
+
+    def check(name, allowed, ok):
+        value = getattr(config, name)
+        if not ok(value):
+            raise ValueError(f"ga.{name} = {value!r}: allowed are {allowed}")
+
+    def share(x):
+        return 0 <= x <= 1
+
+    check("population", "even numbers from 2", lambda n: n >= 2 and n % 2 == 0)
+    check("num_bits", "1 to 24", lambda n: 1 <= n <= 24)
+    check("selection", ", ".join(SELECTIONS), lambda s: s in SELECTIONS)
+    check("num_points", "0, 1, 2, ...", lambda n: n >= 0)
+    check("tournament_size", "1 to the population", lambda n: 1 <= n <= config.population)
+    check(
+        "num_islands",
+        f"divisors of population = {config.population} that leave islands of even size",
+        lambda n: n >= 1 and config.population % (2 * n) == 0,
+    )
+    check("crossover_rate", "0 to 1", share)
+    check("mutation_rate", "0 to 1", share)
+    check("mutation_decay", "above 0, up to 1", lambda x: 0 < x <= 1)
+    check(
+        "num_elites",
+        f"whole numbers from 0 to {config.population // max(config.num_islands, 1) - 1}",
+        lambda n: n == int(n) and 0 <= n < config.population // config.num_islands,
+    )
+    check("rank_pressure", "1 to 2", lambda x: 1 <= x <= 2)
+    check("truncation_share", "above 0, up to 1", lambda x: 0 < x <= 1)
+
+
+# Selection: (key, fitness [P] >= 0, number of parents, config) -> parents' indices [number].
+
+
+def select_roulette(key, fitness, num, config):
+    """Probability proportional to fitness; uniform where all fitness is zero."""
+    del config
+    wheel = _wheel(fitness)
+    return _spin(wheel, jax.random.uniform(key, (num,)))
+
+
+def select_sus(key, fitness, num, config):
+    """Baker's stochastic universal sampling: one spin, `num` equally spaced pointers.
+
+    The parents are shuffled, since the pointers meet them in order and neighbours mate.
+    """
+    del config
+    k_spin, k_shuffle = jax.random.split(key)
+    pointers = (jnp.arange(num) + jax.random.uniform(k_spin)) / num
+    return jax.random.permutation(k_shuffle, _spin(_wheel(fitness), pointers))
+
+
+def select_rank(key, fitness, num, config):
+    """Linear ranking: the best expects rank_pressure copies, the worst 2 - rank_pressure."""
+    size = fitness.shape[0]
+    rank = jnp.argsort(jnp.argsort(fitness))  # 0 is the worst
+    low = 2 - config.rank_pressure
+    weight = low + (config.rank_pressure - low) * rank / max(size - 1, 1)
+    return _spin(_wheel(weight), jax.random.uniform(key, (num,)))
+
+
+def select_tournament(key, fitness, num, config):
+    """The best of tournament_size genomes drawn with replacement."""
+    rivals = jax.random.randint(key, (num, config.tournament_size), 0, fitness.shape[0])
+    winner = jnp.argmax(fitness[rivals], axis=1)
+    return jnp.take_along_axis(rivals, winner[:, None], axis=1)[:, 0]
+
+
+def select_truncation(key, fitness, num, config):
+    """Uniform among the best truncation_share of the population (at least one genome)."""
+    size = fitness.shape[0]
+    breeders = jnp.maximum(jnp.round(config.truncation_share * size), 1)
+    pick = jnp.floor(jax.random.uniform(key, (num,)) * breeders).astype(int)
+    return jnp.argsort(-fitness)[jnp.minimum(pick, size - 1)]
+
+
+SELECTIONS = {
+    "roulette": select_roulette,
+    "sus": select_sus,
+    "rank": select_rank,
+    "tournament": select_tournament,
+    "truncation": select_truncation,
+}
+
+
+def _wheel(weight):
+    """Cumulative probabilities [P]; uniform where no weight is positive."""
+    weight = jnp.maximum(weight, 0)
+    # Divided by the largest first: a sum of huge fitness values must not overflow.
+    weight = weight / jnp.maximum(jnp.max(weight), 1e-30)
+    weight = jnp.where(jnp.max(weight) > 0, weight, jnp.ones_like(weight))
+    edges = jnp.cumsum(weight)
+    return edges / edges[-1]
+
+
+def _spin(wheel, u):
+    # The last edge is left out: rounding must not select beyond the end.
+    return jnp.sum(u[:, None] >= wheel[None, :-1], axis=1)
+
+
+def crossover(
+    key: Key[Array, ""], a: Bool[Array, " L"], b: Bool[Array, " L"], num_points: int, rate: float
+) -> tuple[Bool[Array, " L"], Bool[Array, " L"]]:
+    """Exchange every second piece between num_points distinct random cuts; two children.
+
+    With probability 1 - rate the children are the parents.
+    """
+    k_cuts, k_rate = jax.random.split(key)
+    cuts = crossover_cuts(k_cuts, num_points, a.shape[0])
+    swap = jnp.sum(jnp.arange(a.shape[0])[:, None] >= cuts[None, :], axis=1) % 2 == 1
+    swap &= jax.random.uniform(k_rate) < rate
+    return jnp.where(swap, b, a), jnp.where(swap, a, b)
+
+
+def crossover_cuts(key: Key[Array, ""], num_points: int, length: int) -> Int[Array, " points"]:
+    """Sorted distinct cut positions, uniform over 1 .. length - 1."""
+    keys = jax.random.split(key, max(num_points, 1))
+    cuts = jnp.zeros((0,), int)
+    for n in range(num_points):
+        # The n-th free position: step over the cuts already taken, in rising order.
+        cut = jax.random.randint(keys[n], (), 1, length - n)
+        for m in range(n):
+            cut = cut + (cut >= cuts[m])
+        cuts = jnp.sort(jnp.append(cuts, cut))
+    return cuts
+
+
+def mutate(key: Key[Array, ""], bits: Bool[Array, "..."], rate: float) -> Bool[Array, "..."]:
+    """Flip every bit independently with probability `rate`."""
+    return bits ^ (jax.random.uniform(key, bits.shape) < rate)
+
+
+class State(NamedTuple):
+    """Everything a run needs to go on.  best_*: best finite genome of all generations."""
+
+    bits: Bool[Array, "P L"]
+    key: Key[Array, ""]
+    generation: Int[Array, ""]
+    best_bits: Bool[Array, " L"]
+    best_fitness: Float[Array, ""]
+
+
+class Record(NamedTuple):
+    """One generation in the history.  best_bits is this generation's best genome."""
+
+    best: Float[Array, ""]
+    mean: Float[Array, ""]
+    num_nonfinite: Int[Array, ""]
+    best_bits: Bool[Array, " L"]
+
+
+def init(
+    key: Key[Array, ""],
+    num_genes: int,
+    config: GAConfig,
+    ranges: Float[Array, "genes 2"] | None = None,
+) -> State:
+    """A uniformly random population, over all genomes or with genes between `ranges`."""
+    k_bits, k_run = jax.random.split(key)
+    length = num_genes * config.num_bits
+    if ranges is None:
+        bits = jax.random.bernoulli(k_bits, 0.5, (config.population, length))
+    else:
+        share = jax.random.uniform(k_bits, (config.population, num_genes))
+        theta = ranges[:, 0] + share * (ranges[:, 1] - ranges[:, 0])
+        bits = genome.encode(theta, config.num_bits, config.gray)
+    return State(
+        bits=bits,
+        key=k_run,
+        generation=jnp.zeros((), int),
+        best_bits=jnp.zeros((length,), bool),
+        best_fitness=jnp.asarray(-jnp.inf),
+    )
+
+
+def reproduce(
+    key: Key[Array, ""],
+    bits: Bool[Array, "P L"],
+    fitness: Float[Array, " P"],
+    config: GAConfig,
+    progress: float | Array = 0.0,
+) -> Bool[Array, "P L"]:
+    """The next population: select, cross neighbours, mutate, put the elite in front; every island
+    by itself."""
+    rate = config.mutation_rate * config.mutation_decay**progress
+    if config.num_islands == 1:
+        return _breed(key, bits, fitness, config, rate)
+    islands = (config.num_islands, -1)
+    bred = jax.vmap(lambda k, b, f: _breed(k, b, f, config, rate))(
+        jax.random.split(key, config.num_islands),
+        bits.reshape(*islands, bits.shape[-1]),
+        fitness.reshape(islands),
+    )
+    return bred.reshape(bits.shape)
+
+
+def _breed(key, bits, fitness, config, rate):
+    k_select, k_cross, k_mutate = jax.random.split(key, 3)
+    size = bits.shape[0]
+    parents = bits[SELECTIONS[config.selection](k_select, fitness, size, config)]
+    cross = jax.vmap(lambda k, a, b: crossover(k, a, b, config.num_points, config.crossover_rate))
+    pair = cross(jax.random.split(k_cross, size // 2), parents[: size // 2], parents[size // 2 :])
+    children = mutate(k_mutate, jnp.concatenate(pair), rate)
+    by_rank = bits[jnp.argsort(-fitness)]
+    return jnp.where(jnp.arange(size)[:, None] < config.num_elites, by_rank, children)
+
+
+def generation(state: State, fitness_fn: FitnessFn, config: GAConfig) -> tuple[State, Record]:
+    """Evaluate the population, record it, breed the next.
+
+    Non-finite fitness counts as 0, is never best, and is counted.
+    """
+    k_fitness, k_reproduce = jax.random.split(jax.random.fold_in(state.key, state.generation))
+    theta = genome.decode(state.bits, config.num_bits, config.gray)
+    raw = fitness_fn(k_fitness, theta)
+    finite = jnp.isfinite(raw)
+    fitness = jnp.where(finite, raw, 0)
+    champion = jnp.argmax(jnp.where(finite, raw, -jnp.inf))
+    champion_fitness = jnp.where(finite[champion], raw[champion], -jnp.inf)
+    better = champion_fitness > state.best_fitness
+    record = Record(
+        best=fitness[champion],
+        mean=jnp.mean(fitness),
+        num_nonfinite=jnp.sum(~finite),
+        best_bits=state.bits[champion],
+    )
+    new = State(
+        bits=reproduce(k_reproduce, state.bits, fitness, config, state.generation / config.horizon),
+        key=state.key,
+        generation=state.generation + 1,
+        best_bits=jnp.where(better, state.bits[champion], state.best_bits),
+        best_fitness=jnp.where(better, champion_fitness, state.best_fitness),
+    )
+    return new, record
+
+
+def evolve(
+    state: State, num_generations: int, fitness_fn: FitnessFn, config: GAConfig
+) -> tuple[State, Record]:
+    """`generation` num_generations times under one scan; records gain a leading axis."""
+    return jax.lax.scan(
+        lambda s, _: generation(s, fitness_fn, config), state, None, length=num_generations
+    )

@@ -1,0 +1,97 @@
+"""Success of a controller on suites of scenes, with Wilson intervals."""
+
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from fntg_jax.export import Controller
+from fntg_jax.learning import fitness
+from fntg_jax.learning.rollout import Outcome, rollout_pairs
+from fntg_jax.running import memory
+
+PARTS = ("reach", "safe", "stop", "success")
+
+
+class Rate(NamedTuple):
+    """A share of successes with its Wilson 95 % interval."""
+
+    share: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{100 * self.share:.1f} % ({100 * self.low:.1f}-{100 * self.high:.1f})"
+
+
+class Evaluation(NamedTuple):
+    """One suite: rates by part, and per trial the outcome and whether it succeeded."""
+
+    suite: str
+    num_scenes: int
+    rates: dict[str, Rate]
+    scenes: Any
+    outcome: Outcome
+    success: np.ndarray
+
+
+def wilson(successes: int, trials: int, z: float = 1.959964) -> Rate:
+    """Wilson score interval of a binomial share (E. B. Wilson, JASA 22, 1927)."""
+    p = successes / trials
+    centre = p + z * z / (2 * trials)
+    half = z * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
+    scale = 1 + z * z / trials
+    # Rounding must not push a bound past the share itself at 0 and 1.
+    low, high = (centre - half) / scale, (centre + half) / scale
+    return Rate(p, max(0.0, min(p, low)), min(1.0, max(p, high)))
+
+
+def evaluate(
+    controller: Controller, world: Any, suite: str, num_scenes: int, seed: int = 0, env: Any = None
+) -> Evaluation:
+    """Run a controller through `num_scenes` scenes of a suite, drawn from `seed`.
+
+    env: the world's environment, default `world.make` at the controller's own limits and
+    control step.  The suites are held out: training draws from other keys.
+    """
+    env = environment_for(controller, world) if env is None else env
+    scenes = held_out_scenes(world, suite, num_scenes, seed)
+    theta = jnp.asarray(controller.theta, jnp.float32)[None]
+    program = _run.lower(controller.layout, theta, scenes, env, output=controller.output).compile()
+    memory.check(program)
+    outcome = program(theta, scenes, env)
+    outcome = jax.tree.map(lambda x: np.asarray(x[0]), outcome)
+    parts = fitness.success(outcome)
+    rates = {name: wilson(int(np.sum(getattr(parts, name))), num_scenes) for name in PARTS}
+    return Evaluation(suite, num_scenes, rates, scenes, outcome, np.asarray(parts.success))
+
+
+# Suites whose scenes are alike, and several controllers, share a compilation.
+_run = jax.jit(rollout_pairs, static_argnums=0, static_argnames="output")
+
+
+def held_out_suites(world: Any) -> list[str]:
+    """The suites of a world that test: all but the paper's learning set-up."""
+    return [name for name in world.suites if name != "paper"]
+
+
+def held_out_scenes(world: Any, suite: str, num_scenes: int, seed: int = 0) -> Any:
+    """`num_scenes` scenes of a suite; asking for more leaves the first ones as they are.
+    Raises ValueError on an unknown suite or number of scenes."""
+    if not 1 <= num_scenes < 2**31:
+        raise ValueError(f"scenes = {num_scenes}: allowed are whole numbers from 1 below 2^31")
+    if suite not in world.suites:
+        raise ValueError(f"suite = {suite!r}: known are {', '.join(world.suites)}")
+    if not 0 <= seed < 2**32:
+        raise ValueError(f"seed = {seed}: allowed are whole numbers from 0 below 2^32")
+    # Training seeds are folded from small whole numbers; this constant keeps the suites apart.
+    key = jax.random.fold_in(jax.random.key(seed), 0x5CE4E)
+    return world.suites[suite](key, num_scenes)
+
+
+def environment_for(controller: Controller, world: Any, **options: float) -> Any:
+    """The world at the controller's limits and control step."""
+    limits = {k: float(v) for k, v in controller.limits._asdict().items()}
+    return world.make(**{"dt": controller.control_dt, **limits, **options})

@@ -1,0 +1,194 @@
+"""Configuration of a learning run: fields, presets, checks, and the worlds they name."""
+
+import dataclasses
+from collections.abc import Callable
+from importlib import metadata
+from typing import Any, Literal
+
+import numpy as np
+
+from envs.base import Limits
+from fntg_jax.controller import network
+from fntg_jax.controller.layout import get_layout
+from fntg_jax.learning import ga
+from fntg_jax.learning.fitness import PaperWeights, SmoothWeights
+from fntg_jax.learning.ga import GAConfig
+
+WORLDS = "fntg_jax.worlds"  # entry point group
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainConfig:
+    """One learning run, or several that differ in their seed.
+
+    Attributes:
+        env: world, by its entry point name.
+        env_options: options of that world by name, e.g. dt 0.05 v_max 0.25.
+        layout: gene table: paper-31, three-sigma-31, two-sigma-31, mirror-28, reduced-47,
+            full-63.
+        output: "scale": a gene of 5 is full speed; "clip": genes are m/s and rad/s.
+        suite: training scenes: a suite, or several with their shares, open:2,blocked:3.
+        num_scenes: trials of a genome; their average counts.
+        scene_pool: 0: the same scenes in every generation; else as many scenes are drawn and
+            every generation takes num_scenes of them at random.
+        objective: "paper": the paper's fitness; "smooth": log-scaled and gated.
+        seeds: number of independent runs.
+        first_seed: seed of the first; the others follow.
+        generations: populations evaluated.
+        warm_start: run folder (of any world) or parameter file with the same layout to start from
+            instead of random populations.
+        initial: first population: "uniform": any genome; "partition": membership functions that
+            divide the range of their input, as fuzzy tools start from.
+        ga: genetic algorithm.
+        refine_steps: steps of refinement after evolution; 0 for none.
+        refine_method: "gradient": reverse mode and Adam; "cma": covariance matrix adaptation.
+        refine_scenes: scenes of a step, where scenes are fresh; 0 for num_scenes.
+        refine_rate: learning rate of the gradient (Adam, cosine decay), genes a step.
+        refine_top: individuals of a seed that are refined; the best validated one is kept (cma:
+            goes on after a third of the steps).
+        fitness: weights of the paper's fitness.
+        smooth: weights of the smooth objective.
+    """
+
+    env: str = "kinematic"
+    env_options: dict[str, float] = dataclasses.field(default_factory=dict)
+    layout: str = "paper-31"
+    output: network.Output = "scale"
+    suite: str = "paper"
+    num_scenes: int = 4
+    scene_pool: int = 0
+    objective: Literal["paper", "smooth"] = "paper"
+    seeds: int = 1
+    first_seed: int = 0
+    generations: int = 95
+    warm_start: str = ""
+    initial: Literal["uniform", "partition"] = "uniform"
+    ga: GAConfig = GAConfig()
+    refine_steps: int = 0
+    refine_method: Literal["gradient", "cma"] = "gradient"
+    refine_scenes: int = 0
+    refine_rate: float = 0.003
+    refine_top: int = 4
+    fitness: PaperWeights = PaperWeights()
+    smooth: SmoothWeights = SmoothWeights()
+
+
+PRESETS = {
+    # Faithful to the paper, Section "Genetic learning".
+    "paper": TrainConfig(),
+    # For scenes never seen in training.  Balls that roll in the mix also help where they lie still:
+    # blocked 99.73 -> 99.82 %, moving-ball 98.8 -> 99.4 % (means, seeds 10 to 19).
+    "robust": TrainConfig(
+        output="clip",
+        suite="open:1,blocked:3,moving-ball:1",
+        num_scenes=32,
+        scene_pool=16384,
+        objective="smooth",
+        generations=200,
+        initial="partition",
+        ga=GAConfig(
+            population=512,
+            gray=True,
+            selection="tournament",
+            tournament_size=4,
+            num_islands=8,
+            mutation_rate=0.015,
+            mutation_decay=0.13,
+            crossover_rate=0.9,
+            num_elites=2,
+        ),
+        refine_steps=1000,
+        refine_method="cma",
+        refine_scenes=64,
+        refine_top=2,
+    ),
+}
+
+
+def validate(config: TrainConfig) -> None:
+    """Check a configuration at the edge.  Raises ValueError: field, value, what is allowed."""
+    for name, least in (
+        ("seeds", 1),
+        ("generations", 1),
+        ("num_scenes", 1),
+        ("first_seed", 0),
+        ("scene_pool", 0),
+        ("refine_steps", 0),
+        ("refine_scenes", 0),
+        ("refine_top", 1),
+    ):
+        value = getattr(config, name)
+        if value < least:
+            raise ValueError(f"{name} = {value}: allowed are whole numbers from {least}")
+    if config.first_seed + config.seeds > 2**32:
+        raise ValueError(
+            f"first_seed = {config.first_seed}: allowed are 0 to {2**32 - config.seeds} for "
+            f"{config.seeds} seeds"
+        )
+    get_layout(config.layout)
+    network.output_gains(Limits(), config.output)
+    ga.validate(config.ga)
+    if config.scene_pool and not config.num_scenes <= config.scene_pool <= _MOST_SCENES:
+        raise ValueError(
+            f"scene_pool = {config.scene_pool}: allowed are 0 and numbers from num_scenes = "
+            f"{config.num_scenes} to {_MOST_SCENES}"
+        )
+    if not 0 < config.refine_rate <= 1:
+        raise ValueError(
+            f"refine_rate = {config.refine_rate}: allowed are numbers above 0, up to 1"
+        )
+    if config.refine_top > min(16, config.ga.population):
+        raise ValueError(
+            f"refine_top = {config.refine_top}: allowed are 1 to {min(16, config.ga.population)}"
+        )
+    for name, allowed in _WORDS.items():
+        if (word := getattr(config, name)) not in allowed:
+            raise ValueError(f"{name} = {word!r}: allowed are {', '.join(allowed)}")
+    positive = {
+        "fitness": ("gamma",),
+        "smooth": ("near", "still", "gate", "clearance"),
+    }
+    for group, names in positive.items():
+        for name, value in dataclasses.asdict(getattr(config, group)).items():
+            if not (np.isfinite(value) and value >= 0):
+                raise ValueError(f"{group}.{name} = {value}: allowed are finite numbers from 0")
+            if value == 0 and name in names:
+                raise ValueError(f"{group}.{name} = {value}: allowed are numbers above 0")
+    world = get_world(config.env)
+    get_suite(world, config.suite)
+    world.make(**config.env_options)
+
+
+_MOST_SCENES = 10_000_000  # of a pool: about a GB
+_WORDS = {
+    "objective": ("paper", "smooth"),
+    "initial": ("uniform", "partition"),
+    "refine_method": ("gradient", "cma"),
+}
+
+
+def get_suite(world: Any, suite: str) -> Callable[..., Any]:
+    """(key, num_scenes) -> scenes, for one suite or a mix "open:2,blocked:3".
+
+    Raises ValueError naming the unknown suite or the unusable share.
+    """
+    if ":" not in suite:
+        if suite not in world.suites:
+            raise ValueError(f"suite = {suite!r}: known are {', '.join(world.suites)}")
+        return world.suites[suite]
+    shares = []
+    for part in suite.split(","):
+        name, _, share = part.partition(":")
+        try:
+            shares.append((name, float(share)))
+        except ValueError:
+            raise ValueError(f"suite = {suite!r}: {part!r} is not NAME:SHARE") from None
+    return world.mix(tuple(shares))
+
+
+def get_world(name: str) -> Any:
+    """The world registered under that entry point.  Raises ValueError listing the known ones."""
+    found = {e.name: e for e in metadata.entry_points(group=WORLDS)}
+    if name not in found:
+        raise ValueError(f"env = {name!r}: known worlds are {', '.join(sorted(found)) or 'none'}")
+    return found[name].load()

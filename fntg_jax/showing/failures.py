@@ -1,0 +1,121 @@
+"""A picture of trials that failed, with the reason of each: people learn from those."""
+
+import textwrap
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from fntg_jax.controller import layout
+from fntg_jax.export import Controller
+from fntg_jax.learning import fitness
+from fntg_jax.learning.rollout import trajectory
+from fntg_jax.running.evaluation import Evaluation
+from fntg_jax.showing import plots
+
+MOST = 12  # trials shown of a suite
+_COLUMNS = 4
+
+
+def reasons(outcome: Any) -> list[str]:
+    """Why one trial failed, in words with the numbers; empty where it succeeded."""
+    parts, found = fitness.success(outcome), []
+    if outcome.failed:
+        found.append("fell")
+    if not parts.reach:
+        found.append(f"not reached ({outcome.distance[1]:.2f} m)")
+    if not outcome.clearance >= fitness.CLEARANCE:
+        found.append(f"too near ({outcome.clearance:.3f} m)")
+    if not parts.stop:
+        found.append(f"not stopped ({np.mean(np.abs(outcome.v)):.3f} m/s)")
+    return found
+
+
+def picture(
+    controller: Controller, world: Any, env: Any, results: list[Evaluation], path: str | Path
+) -> Path:
+    """The first failed trials of every suite from above, PNG and PDF; returns the PNG's path.
+
+    results: of `evaluation.evaluate` in `env`.  Trials come in the order of their scenes, at most
+    12 a suite, and carry the number that `fntg replay --scene` takes.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    rows = [max(1, -(-min(MOST, int(np.sum(~r.success))) // _COLUMNS)) for r in results]
+    with plt.rc_context(plots.RC):
+        figure = plt.figure(
+            figsize=(2.9 * _COLUMNS, sum(2.25 * n + 0.5 for n in rows) + 0.4), layout="constrained"
+        )
+        heights = [2.25 * n + 0.5 for n in rows]
+        parts = figure.subfigures(len(results), 1, height_ratios=heights, squeeze=False)[:, 0]
+        for part, num_rows, result in zip(parts, rows, results):
+            panels = part.subplots(num_rows, _COLUMNS, squeeze=False).ravel()
+            for axes in panels:
+                axes.set_axis_off()
+            failed = np.flatnonzero(~result.success)[:MOST]
+            part.suptitle(_summary(result), fontsize=10, x=0.01, ha="left")
+            if len(failed) == 0:
+                continue
+            trials = _trajectories(controller, env, result.scenes, failed)
+            for axes, index, n in zip(panels, failed, range(len(failed))):
+                outcome = jax.tree.map(lambda x, i=index: x[i], result.outcome)
+                _draw(axes, world.field, jax.tree.map(lambda x, n=n: x[n], trials))
+                words = f"scene {index}: {', '.join(reasons(outcome))}"
+                axes.set_title(textwrap.fill(words, 46), fontsize=7, loc="left", pad=2)
+        figure.supxlabel(
+            "arrow: start; line: path of the robot, square: its end; star: ball (dotted: its way); "
+            "grey: obstacles when the robot was nearest to one (dotted: 0.145 m around); "
+            "cross: too near there",
+            fontsize=7,
+        )
+    return plots.save(figure, path)
+
+
+def _summary(result: Evaluation) -> str:
+    """How many failed in all, and by which part; a trial can fail by several."""
+    failed = int(np.sum(~result.success))
+    words = {"reach": "not reached", "safe": "too near or fallen", "stop": "not stopped"}
+    counts = [
+        f"{round((1 - result.rates[part].share) * result.num_scenes)} {word}"
+        for part, word in words.items()
+    ]
+    shown = f"; the first {MOST}" if failed > MOST else ""
+    return f"{result.suite}: {failed} of {result.num_scenes} failed ({', '.join(counts)}){shown}"
+
+
+def _trajectories(controller: Controller, env: Any, scenes: Any, rows: np.ndarray) -> Any:
+    params = layout.expand(controller.layout, jnp.asarray(controller.theta, jnp.float32))
+    # Always as many, so that all suites of a kind share a compilation.
+    rows = np.resize(rows, MOST)
+    chosen = jax.tree.map(lambda x: x[rows], scenes)
+    return jax.tree.map(np.asarray, _record(params, chosen, env, controller.output))
+
+
+@partial(jax.jit, static_argnames="output")
+def _record(params, scenes, env, output):
+    return jax.vmap(lambda scene: trajectory(params, scene, env, output))(scenes)
+
+
+def _draw(axes: Any, field: Any, trial: Any) -> None:
+    """One trial; the obstacles stand where they were when the robot was nearest to one."""
+    plots.draw_field(axes, field)
+    reach = field.length / 2 + field.goal_depth + 0.02
+    axes.set(xlabel="", ylabel="", xlim=(-reach, reach))
+    axes.set_axis_off()
+    distance = np.asarray(trial.measured.d_obstacle)
+    worst = int(np.argmin(distance))
+    obstacles = trial.snapshot.obstacles
+    plots.draw_discs(axes, obstacles[worst])
+    for n in range(obstacles.shape[1]):
+        if np.ptp(obstacles[:, n, :2]) > 0:
+            axes.plot(*obstacles[:, n, :2].T, color="0.6", linestyle=":", linewidth=0.8)
+    plots.draw_path(axes, trial.snapshot.robot, plots.BLUE)
+    plots.draw_ball(axes, trial.snapshot.ball)
+    if distance[worst] < fitness.CLEARANCE:
+        axes.plot(*trial.snapshot.robot[worst, :2], "x", color=plots.RED, markersize=7, zorder=6)

@@ -1,0 +1,103 @@
+"""Trials of a world that draws itself (`film` of the world object), as an animated picture.
+
+What is shown and judged is what that world films: the quadruped's full model, in which the ball
+can be pushed, not the lean one that controllers are trained and evaluated in.
+"""
+
+import io
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from fntg_jax.controller import layout, network
+from fntg_jax.export import Controller
+from fntg_jax.learning import rollout
+from fntg_jax.running.evaluation import environment_for, held_out_scenes
+from fntg_jax.showing.replay import check_scenes, describe_result, encode
+
+NUM_KEY_FRAMES = 6
+
+
+class Shot(NamedTuple):
+    """One trial: title, scene and result in words; s between pictures; draw: (width, height) ->
+    pictures uint8 [height, width, 3]; view: plays it in a window."""
+
+    title: str
+    scene: str
+    result: str
+    dt: float
+    draw: Callable[[int, int], list[np.ndarray]]
+    view: Callable[[], None]
+
+
+def shoot(
+    title: str,
+    controller: Controller,
+    world: Any,
+    suite: str,
+    indices: tuple[int, ...],
+    seed: int = 0,
+    window: bool = False,
+) -> list[Shot]:
+    """One shot for each held-out scene, numbered as `replay.record` does.
+
+    window: they will be viewed, not drawn.  Raises ValueError on an unknown suite or a negative
+    scene, and where the world cannot draw.
+    """
+    check_scenes(indices)
+    scenes = held_out_scenes(world, suite, max(indices) + 1, seed)
+    scenes = jax.tree.map(lambda x: x[np.asarray(indices)], scenes)
+    env = environment_for(controller, world)
+    params = layout.expand(controller.layout, jnp.asarray(controller.theta, jnp.float32))
+
+    def control(seen):
+        return network.command(params, seen, env.limits, controller.output)
+
+    film = world.film(env, scenes, control, window)
+    judge = jax.vmap(rollout.outcome_of, in_axes=(1, 1, 0))
+    outcomes = jax.tree.map(np.asarray, judge(film.measured, film.command, film.failed))
+    return [
+        Shot(
+            title,
+            f"{suite} scene {index}",
+            describe_result(jax.tree.map(lambda x, n=n: x[n], outcomes)),
+            film.dt,
+            lambda width, height, n=n: film.pictures(n, width, height),  # type: ignore[misc]
+            lambda n=n: film.view(n),  # type: ignore[misc]
+        )
+        for n, index in enumerate(indices)
+    ]
+
+
+def animation(shots: list[Shot], image_format: str) -> tuple[bytes, list[bytes]]:
+    """The shots side by side in real time, and key frames as PNG.  image_format: GIF or WEBP."""
+    from PIL import Image, ImageDraw
+
+    columns = math.ceil(math.sqrt(len(shots)))
+    width = 400 if columns == 1 else 320
+    height = 3 * width // 4
+    reels = [shot.draw(width, height) for shot in shots]
+    length = max(map(len, reels))
+    rows = math.ceil(len(shots) / columns)
+    frames = []
+    for n in range(length):
+        frame = Image.new("RGB", (columns * width, rows * height))
+        for k, (shot, reel) in enumerate(zip(shots, reels)):
+            corner = (k % columns * width, k // columns * height)
+            frame.paste(Image.fromarray(reel[min(n, len(reel) - 1)]), corner)
+            words = f"{shot.title[-30:]}  {shot.scene}  {n * shot.dt:.1f} s"
+            place = (corner[0] + 6, corner[1] + 4)
+            ImageDraw.Draw(frame).text(
+                place, words, fill="white", font_size=12, stroke_width=1, stroke_fill="black"
+            )
+        frames.append(frame)
+    keys = []
+    for n in np.linspace(0, length - 1, NUM_KEY_FRAMES).round().astype(int):
+        out = io.BytesIO()
+        frames[n].save(out, format="PNG")
+        keys.append(out.getvalue())
+    return encode(frames, shots[0].dt, image_format), keys
