@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from envs.base import Command, Observation
 from fntg_jax.commands import cli
-from fntg_jax.controller.network import Command, Observation
 from fntg_jax.running import evaluation, settings, xla
 from fntg_jax.showing import film
 from tests.controllers import random_controller
