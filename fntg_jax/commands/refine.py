@@ -70,13 +70,13 @@ def main(argv: list[str]) -> None:
     world = settings.get_world(options.env)
     suite = settings.get_suite(world, options.suite)
     optimiser = gradient.optimiser(options.optimizer, options.steps, options.rate)
-    gradient = options.method == "gradient"
+    by_gradient = options.method == "gradient"
     env = evaluation.environment_for(controller, world, **options.env_options)
     problem = gradient.smooth_problem(
         controller.layout, env, suite, options.scenes, controller.output, options.seed
     )
     say(
-        f"{options.steps} steps of {options.optimizer if gradient else 'CMA-ES'} on "
+        f"{options.steps} steps of {options.optimizer if by_gradient else 'CMA-ES'} on "
         f"{options.scenes} scenes each ({options.suite}), world {options.env}; compiling takes a "
         "while ..."
     )
@@ -90,14 +90,14 @@ def main(argv: list[str]) -> None:
         return cma.adapt(key, theta, *problem, options.steps, options.sigma)
 
     program = (
-        jax.jit(descend, compiler_options=xla.GRADIENT_OPTIONS) if gradient else jax.jit(adapt)
+        jax.jit(descend, compiler_options=xla.GRADIENT_OPTIONS) if by_gradient else jax.jit(adapt)
     )
     refined = program(jnp.asarray(controller.theta, jnp.float32))
     refined = jax.tree.map(np.asarray, refined)
     before, after = float(refined.history[0]), float(refined.cost)
     num_validation = jax.tree.leaves(problem.validation)[0].shape[0]
     if refined.num_skipped:
-        what = "steps skipped: gradient" if gradient else "samples skipped: cost"
+        what = "steps skipped: gradient" if by_gradient else "samples skipped: cost"
         say(f"{refined.num_skipped} {what} not finite")
     say(f"mean cost on {num_validation} validation scenes: {before:.5g} before, {after:.5g} after")
     better = after < before

@@ -69,7 +69,7 @@ def record(
                 "scene": f"{suite} scene {index}",
                 "result": describe_result(outcome),
                 "dt": controller.control_dt,
-                "field": {k: float(v) for k, v in world.field._asdict().items()},
+                "field": {k: v for k, v in world.field._asdict().items() if isinstance(v, float)},
                 "robot": _over_time(trial.snapshot.robot),
                 "ball": _over_time(trial.snapshot.ball),
                 "obstacles": _over_time(trial.snapshot.obstacles),
