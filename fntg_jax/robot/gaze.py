@@ -1,0 +1,71 @@
+"""Where the head looks: the part of the Vision box that moves it, as in the paper.
+
+It scans until something is known of the ball, then looks to it, with glances at landmarks.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from envs.base import Head
+from fntg_jax.robot.geometry import angle, unit
+from fntg_jax.robot.messages import Scalar
+
+_SCAN_PERIOD = 3.0  # s: the head's speed allows a full pan in 1.0 s
+_GLANCE = 0.8  # s, how long a glance at the landmarks lasts
+_DOWN = -0.25  # rad, tilt while scanning: floor from 0.5 m on and landmarks alike
+
+
+class Gaze(NamedTuple):
+    """time: s since the last glance began; side: +1 or -1, where the next one goes."""
+
+    time: Scalar
+    side: Scalar
+
+
+def begin(shape: tuple[int, ...] = ()) -> Gaze:
+    return Gaze(jnp.zeros(shape, jnp.float32), jnp.ones(shape, jnp.float32))
+
+
+def look_to(x: Scalar, y: Scalar, z: Scalar, neck: Head = Head()) -> tuple[Scalar, Scalar]:
+    """Tilt and pan (rad) that bring a point of the body's frame (z above the floor, m) into the
+    middle of the picture; the nose's own offset is left out."""
+    pan = angle(x - neck.base[0], y)
+    flat = jnp.sqrt((x - neck.base[0]) ** 2 + y**2 + 1e-9)
+    # The tilt carries the pan: at a pan p the axis tilts by p only in its cosine's part.
+    cos, _ = unit(pan)
+    tilt = angle(jnp.maximum(flat * jnp.abs(cos), 0.05), z - neck.base[2] - neck.neck)
+    return tilt, pan
+
+
+def look(
+    gaze: Gaze,
+    known: Bool[Array, ""],
+    ball: tuple[Scalar, Scalar],
+    lost_pose: Bool[Array, ""],
+    every: Scalar,
+    dt: float,
+    neck: Head = Head(),
+) -> tuple[Gaze, Float[Array, "3"]]:
+    """The head's set-points (tilt, pan, roll), and the memory of it.
+
+    known: the ball is on the map; ball: x, y in the robot's frame, m; lost_pose: the robot does not
+    know where it stands; every: s between glances; dt: s.
+    """
+    time = gaze.time + dt
+    begins = time >= every
+    time = jnp.where(begins, 0.0, time)
+    side = jnp.where(begins, -gaze.side, gaze.side)
+    near = ball[0] ** 2 + ball[1] ** 2 < 0.3**2
+    glance = known & (time < _GLANCE) & ~near
+    # A triangle wave from side to side.
+    phase = time / _SCAN_PERIOD
+    wave = 4 * jnp.abs(phase - jnp.floor(phase + 0.5)) - 1
+    scan = wave * neck.high[1]
+    tilt, pan = look_to(ball[0], ball[1], jnp.full_like(ball[0], 0.042), neck)
+    away = jnp.clip(pan + side * 1.0, neck.low[1], neck.high[1])
+    tilt = jnp.where(known & ~glance, tilt, jnp.where(glance, -0.05, _DOWN))
+    pan = jnp.where(known & ~glance, pan, jnp.where(glance, away, scan))
+    head = jnp.stack([tilt, pan, jnp.zeros_like(pan)])
+    return Gaze(time, side), head
