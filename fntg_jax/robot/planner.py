@@ -50,7 +50,7 @@ class Facts(NamedTuple):
     known: the ball is on the map; d_ball, ball: its distance and direction; aim: direction in which
     it is to be pushed, seen from the ball; misaligned: by how much the robot is off from behind it;
     kick: the best kick; kickable: the ball lies in its zone and would go where it is wanted;
-    to_goal, to_own: distance of the ball from the opponents' and from the own goal; target, d_target:
+    to_goal, to_own: distance of the ball from both goals; target, d_target:
     the place of the role; approach, d_approach: the place behind the ball; arrival: time until the
     ball passes the robot; crossing: how far to the right it will, m; incoming: speed towards it;
     d_obstacle, obstacle: the nearest; role: index into `ROLES`.

@@ -1,4 +1,4 @@
-"""Vision at the objects level: a camera frame and the head's joints -> objects in the robot's frame.
+"""Vision at the objects level: camera frame and head joints -> objects in the robot's frame.
 
 What `vision` finds in a picture arrives here, too: bearings, elevations and sizes of objects.
 """
@@ -91,14 +91,19 @@ def locate(frame: Frame, head: Float[Array, "3"], sizes: Sizes, neck: Head = Hea
 
 def sizes_of(ball_radius: float, landmark_foot: float, band: float, goal_height: float) -> Sizes:
     """`Sizes` from the field's map (m) and the ERS-210's body."""
-    size, height = [], []
-    for name in SEEN:
-        if name == "ball":
-            size.append(2 * ball_radius), height.append(ball_radius)
-        elif name.startswith("landmark"):
-            size.append(2 * band), height.append(landmark_foot + band)
-        elif name.startswith("goal"):
-            size.append(goal_height), height.append(0.5 * goal_height)
-        else:  # a robot: between its length and its width
-            size.append(0.22), height.append(0.1)
-    return Sizes(jnp.asarray(size, jnp.float32), jnp.asarray(height, jnp.float32))
+    ball = (2 * ball_radius, ball_radius)
+    landmark = (2 * band, landmark_foot + band)
+    goal = (goal_height, 0.5 * goal_height)
+    robot = (0.22, 0.1)  # between its length and its width
+    rows = [
+        ball
+        if name == "ball"
+        else landmark
+        if name.startswith("landmark")
+        else goal
+        if name.startswith("goal")
+        else robot
+        for name in SEEN
+    ]
+    size, height = jnp.asarray(rows, jnp.float32).T
+    return Sizes(size, height)
