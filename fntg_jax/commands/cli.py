@@ -26,6 +26,7 @@ COMMANDS = {
     "plot": "membership functions and control surfaces, PNG and PDF",
     "report": "a run as one self-contained HTML page",
     "export": "write a run's or file's controller in another format",
+    "localize": "where a robot was, from a log of odometry and landmarks",
     "doctor": "versions, devices, cache and rendering, against what was tested",
 }
 
