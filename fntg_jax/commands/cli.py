@@ -27,6 +27,7 @@ COMMANDS = {
     "report": "a run as one self-contained HTML page",
     "export": "write a run's or file's controller in another format",
     "localize": "where a robot was, from a log of odometry and landmarks",
+    "see": "landmarks in photographs: which, in what direction, how far",
     "doctor": "versions, devices, cache and rendering, against what was tested",
 }
 
