@@ -192,9 +192,9 @@ class Senses(NamedTuple):
     frame: `Frame`, or a picture uint8 [144, 176, 3].  head: the neck's joints, rad.  displacement:
     dx, dy (m, in the robot's frame before the step) and turn (rad) since the last step, as odometry
     has it.  proximity: the head's infrared distance, m, 0.1 to 0.9.  gyro: rad/s.  acceleration:
-    m/s^2, gravity included (body frame).  heard: a message by sender's shirt, two uint32 each (at
-    the audio level samples [channels, samples] instead); heard_valid: it arrived whole.  signal:
-    the referee's state of play, an index into `SIGNALS`.
+    m/s^2, gravity included (body frame).  heard: a message by sender's shirt (own team, N robots),
+    two uint32 each (at the audio level samples [channels, samples] instead); heard_valid: it
+    arrived whole.  signal: the referee's state of play, an index into `SIGNALS`.
     """
 
     frame: Any
@@ -203,8 +203,26 @@ class Senses(NamedTuple):
     proximity: Scalar
     gyro: Float[Array, "3"]
     acceleration: Float[Array, "3"]
-    heard: UInt32[Array, "R 2"]
-    heard_valid: Bool[Array, " R"]
+    heard: UInt32[Array, "N 2"]
+    heard_valid: Bool[Array, " N"]
+    signal: Int[Array, ""]
+
+
+class Truth(NamedTuple):
+    """What is so, in the frame of the robot's team (x towards the opponents' goal): for teams that
+    need no perception.
+
+    pose: x, y (m), heading (rad).  ball: x, y, vx, vy (m, m/s).  robots: x, y (m) of all
+    R robots, own team by shirt, then the opponents; on: which of them are on the field.
+    upright: it has not fallen.  head: the neck's joints, rad.  signal: as in `Senses`.
+    """
+
+    pose: Float[Array, "3"]
+    ball: Float[Array, "4"]
+    robots: Float[Array, "R 2"]
+    on: Bool[Array, " R"]
+    upright: Bool[Array, ""]
+    head: Float[Array, "3"]
     signal: Int[Array, ""]
 
 
