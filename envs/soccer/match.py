@@ -49,7 +49,7 @@ class Picture(NamedTuple):
     robots: x, y, heading; head: tilt, pan, roll; upright, out: of each robot; kicking: plays a kick
     or posture; ball: x, y; score: home, away; clock: s of this half; half: 0, 1, 2 at the
     end; phase: 0 play, 1 kick-off, 2 break, 3 finished; attack: +1 where home plays towards +x;
-    call, caller: of the referee in this step, index into `envs.soccer.CALLS` and robot (of a goal: team).
+    call, caller: of the referee in this step, index into `envs.soccer.CALLS` and robot (or team).
     """
 
     robots: Float[Array, "R 3"]

@@ -82,9 +82,9 @@ class Game(NamedTuple):
     phase: PLAY, KICKOFF, BREAK or FINISHED; waited: s in this phase; first, kicker: team (0 home, 1
     away) that had the first kick-off and that has this one; attack: +1 where home plays towards +x;
     spot_x, spot_y: m, from where the ball's progress is measured; stuck: s without; toucher: robot
-    that touched the ball last, -1 none; shot: team + 1 of the shot on its way, else 0; call, caller:
-    what the referee called in the last step (index into CALLS) and of which robot or team; seed: of
-    all noise; hand: +1, or -1 in a match that is the mirror image (y to -y) of another, noise too.
+    that touched the ball last, -1 none; shot: team + 1 of the shot on its way, else 0; call,
+    caller: what the referee called in the last step (index into CALLS) and of which robot or team;
+    seed: of all noise; hand: +1, or -1 in a match that is the mirror image (y to -y) of another.
     """
 
     tick: Int[Array, ""]
