@@ -1,66 +1,144 @@
 """FNTG-JAX: train small, readable robot controllers with a genetic algorithm in JAX.
 
-    import fntg_jax as fntg
+    import fntg_jax
 
-    controller = fntg.train(seeds=3)
-    fntg.evaluate(controller, suite="open").rates["success"]
-    fntg.save(controller, "mine.json")
-    v, omega = fntg.load("mine.json")(1.0, 0.4, 0.2, -1.5)
+    controller = fntg_jax.load("bioa")
+    v, omega = controller(1.0, 0.4, 0.2, -1.5)
+    print(fntg_jax.evaluate(controller, suite="open").rates["success"])
+    mine = fntg_jax.train(seeds=3)
+    fntg_jax.save(mine, "mine.json")
 
-Each function imports what it needs when it is called: importing the package costs nothing.
+What is public is named here and in the `__init__` files of the packages below.  Everything is
+imported when it is first used: importing the package costs nothing.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fntg_jax.export import Controller
+    from fntg_jax.controller import Controller
+    from fntg_jax.learning.fitness import PaperWeights, SmoothWeights
+    from fntg_jax.learning.ga import GAConfig
     from fntg_jax.running.evaluation import Evaluation
+    from fntg_jax.running.learnt import Learnt
+    from fntg_jax.running.runner import History, Progress
+    from fntg_jax.running.settings import TrainConfig
 
 __version__ = "0.1.0"
-__all__ = ["evaluate", "load", "save", "train"]
+__all__ = [
+    "Controller",
+    "Evaluation",
+    "GAConfig",
+    "History",
+    "Learnt",
+    "PaperWeights",
+    "Progress",
+    "SmoothWeights",
+    "TrainConfig",
+    "evaluate",
+    "gym",
+    "learn",
+    "load",
+    "save",
+    "shipped",
+    "train",
+]
+
+_HOMES = {
+    "Controller": "fntg_jax.controller",
+    "Evaluation": "fntg_jax.running.evaluation",
+    "GAConfig": "fntg_jax.learning.ga",
+    "History": "fntg_jax.running.runner",
+    "Learnt": "fntg_jax.running.learnt",
+    "PaperWeights": "fntg_jax.learning.fitness",
+    "Progress": "fntg_jax.running.runner",
+    "SmoothWeights": "fntg_jax.learning.fitness",
+    "TrainConfig": "fntg_jax.running.settings",
+}
 
 
-def train(preset: str = "paper", out: str | Path | None = None, **options: Any) -> "Controller":
-    """Learn controllers and return the best of all seeds.
+def __getattr__(name: str) -> Any:
+    import importlib
 
-    options: fields of `settings.TrainConfig` over the preset's, e.g. seeds=10, generations=50,
-    layout="full-63", ga={"population": 120}.  out: also write this run folder, as `fntg train`
-    does.  Raises ValueError naming the field, its value and what is allowed.
+    if name in _HOMES:
+        return getattr(importlib.import_module(_HOMES[name]), name)
+    if name == "gym":
+        return importlib.import_module("fntg_jax.gym")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])
+
+
+def learn(
+    preset: str = "paper",
+    out: str | Path | None = None,
+    on_progress: "Callable[[Progress], None] | None" = None,
+    **options: Any,
+) -> "Learnt":
+    """Learn controllers and return the whole run: the best of all seeds and of each, and the
+    history of their fitness.
+
+    Args:
+        preset: "paper" (faithful to the paper) or "robust" (for scenes never seen in training).
+        out: also write this run folder, as `fntg train` does.
+        on_progress: called with a `Progress` after each chunk of generations, about once a second.
+        options: fields of `TrainConfig` over the preset's: seeds=10, layout="full-63",
+            ga=GAConfig(population=120) for all of it, or ga={"population": 120} for a part.
+
+    Raises ValueError naming the field, its value and what is allowed.
     """
-    import dataclasses
+    from fntg_jax.running import learnt
 
-    from fntg_jax.running import run_folder, runner, settings
+    folder = None if out is None else Path(out)
+    return learnt.learn(learnt.configure(preset, options), folder, on_progress)
 
-    if preset not in settings.PRESETS:
-        raise ValueError(f"preset = {preset!r}: known are {', '.join(settings.PRESETS)}")
-    values = dataclasses.asdict(settings.PRESETS[preset])
-    for name, value in options.items():
-        nested = isinstance(value, dict) and isinstance(values.get(name), dict)
-        values[name] = {**values[name], **value} if nested else value
-    run = runner.start(run_folder.config_from_dict(values))
-    if out is not None:
-        run_folder.create(Path(out), run.config)
-    runner.complete(run)
-    result = None
-    if out is not None:
-        run_folder.save_checkpoint(Path(out), run)
-        _, result = run_folder.finish(Path(out), run)
-    return run_folder.controller(run, result=result)
+
+def train(
+    preset: str = "paper",
+    out: str | Path | None = None,
+    on_progress: "Callable[[Progress], None] | None" = None,
+    **options: Any,
+) -> "Controller":
+    """Learn controllers and return the best of all seeds: `learn(...).controller`."""
+    return learn(preset, out, on_progress, **options).controller
 
 
 def evaluate(
-    controller: "Controller",
+    controller: "Controller | str | Path",
     suite: str = "blocked",
     scenes: int = 2000,
     seed: int = 0,
-    env: str = "kinematic",
+    env: str | None = None,
+    env_options: dict[str, float] | None = None,
 ) -> "Evaluation":
-    """Success on unseen scenes: `rates` has reach, safe, stop and success, each with `share`,
-    `low` and `high` (Wilson 95 %).  Raises ValueError on an unknown suite or world."""
+    """Success on scenes that training never saw.
+
+    Args:
+        controller: a controller, or what `load` takes.
+        suite: kind of scenes: "open", "blocked", "crowded", "moving-ball", "moving-obstacles", or
+            the learning set-up, "paper".
+        scenes: how many.
+        seed: of the scenes; asking for more scenes leaves the first ones as they are.
+        env: world, by its entry point name; None for the one that the controller was trained in.
+        env_options: options of that world by name, over the controller's own limits and control
+            step: {"latency": 2, "angle_noise": 0.1}.
+
+    Returns:
+        Rates `reach`, `safe`, `stop` and `success`, each with `share`, `low` and `high` (Wilson
+        95 %), scenes, outcomes, and whether each trial succeeded.
+
+    Raises ValueError on an unknown suite, world or option, or an unreadable file.
+    """
     from fntg_jax.running import evaluation, settings
 
-    return evaluation.evaluate(controller, settings.get_world(env), suite, scenes, seed)
+    if isinstance(controller, (str, Path)):
+        controller = load(controller)
+    world = settings.get_world(controller.env if env is None else env)
+    environment = evaluation.environment_for(controller, world, **(env_options or {}))
+    return evaluation.evaluate(controller, world, suite, scenes, seed, environment)
 
 
 def shipped(name: str) -> Path:
@@ -70,18 +148,23 @@ def shipped(name: str) -> Path:
 
 
 def load(path: str | Path) -> "Controller":
-    """A controller from params.json, an exported .fll, or a run folder.
+    """A controller from params.json, an exported .fll or a run folder, or a shipped one by name.
 
-    Calling it maps d_ball, d_obstacle (m), theta_ball, theta_obstacle (rad, > 0 is left),
-    numbers or arrays, to v (m/s) and omega (rad/s), in NumPy.  Raises ValueError (one line) when
-    it cannot be read or is not valid.
+    Args:
+        path: a file or folder; where there is none of that name, "bioa" is the controller that
+            comes with the package.
+
+    Raises ValueError (one line) when it cannot be read or is not valid.
     """
     import os
 
     from fntg_jax import export
 
-    # os.path, because Path.is_dir raises on names that no file can have.
-    return export.load(Path(path, "params.json") if os.path.isdir(path) else path)
+    # os.path, because methods of Path raise on names that no file can have.
+    if os.path.isdir(path):
+        return export.load(Path(path, "params.json"))
+    ours = not os.path.lexists(path) and str(path) == "bioa"
+    return export.load(shipped("bioa") if ours else path)
 
 
 def save(controller: "Controller", path: str | Path) -> None:

@@ -13,6 +13,7 @@ from fntg_jax import export
 from fntg_jax.controller import genome
 from fntg_jax.controller.layout import LAYOUTS
 from tests import reference
+from tests.controllers import random_controller
 from tests.examples import layouts, random_observations, random_thetas
 
 layout_names = st.sampled_from(list(LAYOUTS))
@@ -218,7 +219,7 @@ def test_unreadable_files_are_refused(tmp_path):
 def test_a_failed_write_leaves_the_old_file(tmp_path):
     path = tmp_path / "params.json"
     path.write_text("old")
-    broken = export.Controller(LAYOUTS["paper-31"], np.full(31, np.nan))
+    broken = random_controller(provenance={"fitness": np.nan})
     with pytest.raises(ValueError):
         export.save(broken, path)
     assert path.read_text() == "old"

@@ -104,9 +104,6 @@ def load_controller(path: Path, seed: int | None = None) -> Any:
     import fntg_jax
 
     if seed is None:
-        # The shipped controller goes by its name where no file has it.
-        if str(path) == "bioa" and not path.exists():
-            path = fntg_jax.shipped("bioa")
         return fntg_jax.load(path)
     from fntg_jax.running import run_folder
 

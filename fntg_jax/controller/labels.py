@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fntg_jax.controller import network
-from fntg_jax.export import Controller
+from fntg_jax.controller.controller import Controller
 
 INDISTINCT = 0.1  # a pair whose shares vary less than this over the field tells nothing apart
 

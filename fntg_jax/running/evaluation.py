@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fntg_jax.export import Controller
+from fntg_jax.controller.controller import Controller
 from fntg_jax.learning import fitness
 from fntg_jax.learning.rollout import Outcome, rollout_pairs
 from fntg_jax.running import memory
@@ -35,6 +35,10 @@ class Evaluation(NamedTuple):
     scenes: Any
     outcome: Outcome
     success: np.ndarray
+
+    def __repr__(self) -> str:  # not pages of arrays
+        rates = ", ".join(f"{name} {rate}" for name, rate in self.rates.items())
+        return f"Evaluation({self.suite!r}, {self.num_scenes} scenes: {rates})"
 
 
 def wilson(successes: int, trials: int, z: float = 1.959964) -> Rate:

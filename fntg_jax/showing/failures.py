@@ -6,11 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from fntg_jax.controller import layout
-from fntg_jax.export import Controller
+from fntg_jax.controller.controller import Controller
 from fntg_jax.learning import fitness
 from fntg_jax.learning.rollout import trajectory
 from fntg_jax.running.evaluation import Evaluation
@@ -90,7 +88,7 @@ def _summary(result: Evaluation) -> str:
 
 
 def _trajectories(controller: Controller, env: Any, scenes: Any, rows: np.ndarray) -> Any:
-    params = layout.expand(controller.layout, jnp.asarray(controller.theta, jnp.float32))
+    params = controller.params32
     # Always as many, so that all suites of a kind share a compilation.
     rows = np.resize(rows, MOST)
     chosen = jax.tree.map(lambda x: x[rows], scenes)

@@ -10,11 +10,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from fntg_jax.controller import layout, network
-from fntg_jax.export import Controller
+from fntg_jax.controller import network
+from fntg_jax.controller.controller import Controller
 from fntg_jax.learning import rollout
 from fntg_jax.running.evaluation import environment_for, held_out_scenes
 from fntg_jax.showing.replay import check_scenes, describe_result, encode
@@ -52,7 +51,7 @@ def shoot(
     scenes = held_out_scenes(world, suite, max(indices) + 1, seed)
     scenes = jax.tree.map(lambda x: x[np.asarray(indices)], scenes)
     env = environment_for(controller, world)
-    params = layout.expand(controller.layout, jnp.asarray(controller.theta, jnp.float32))
+    params = controller.params32
 
     def control(seen):
         return network.command(params, seen, env.limits, controller.output)

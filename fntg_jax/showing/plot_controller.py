@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fntg_jax.controller import labels
-from fntg_jax.export import Controller
+from fntg_jax.controller.controller import Controller
 from fntg_jax.showing.plots import BLUE, GREEN, ORANGE, RC, new_grid, save
 
 _AXES = {

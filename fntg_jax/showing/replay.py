@@ -13,11 +13,10 @@ from importlib import resources
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from fntg_jax.controller import labels, layout
-from fntg_jax.export import Controller
+from fntg_jax.controller import labels
+from fntg_jax.controller.controller import Controller
 from fntg_jax.files import inert_json
 from fntg_jax.learning import fitness
 from fntg_jax.learning.rollout import outcome_of, trajectory
@@ -54,7 +53,7 @@ def record(
     scenes = held_out_scenes(world, suite, max(indices) + 1, seed)
     scenes = jax.tree.map(lambda x: x[np.asarray(indices)], scenes)
     env = environment_for(controller, world)
-    params = layout.expand(controller.layout, jnp.asarray(controller.theta, jnp.float32))
+    params = controller.params32
     trials = _record(params, scenes, env, controller.output)
     outcomes = jax.vmap(outcome_of)(trials.measured, trials.command, trials.failed)
     strengths = np.asarray(rules.rule_strengths(controller, trials.observation))

@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from fntg_jax import export
-from fntg_jax.controller import layout
 from fntg_jax.learning.rollout import trajectory
 from fntg_jax.running import evaluation, run_folder
 from fntg_jax.running.runner import Run
@@ -102,7 +100,7 @@ def _figure_of_fitness(run: Run) -> str:
 
 def _figures_of_trials(run: Run, controller: export.Controller) -> str:
     """Fig. 6 to 8, by the run's controller in the run's own world."""
-    params = layout.expand(controller.layout, jnp.asarray(controller.theta, jnp.float32))
+    params = controller.params32
     scenes = run.world.suites["paper"](jax.random.key(0), 4)
     record = jax.jit(jax.vmap(lambda s: trajectory(params, s, run.env, output=controller.output)))
     trials = record(scenes)

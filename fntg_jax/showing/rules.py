@@ -13,8 +13,8 @@ import numpy as np
 
 from envs.base import Limits
 from fntg_jax.controller import layout, network
+from fntg_jax.controller.controller import Controller
 from fntg_jax.controller.labels import Label, describe_labels
-from fntg_jax.export import Controller
 from fntg_jax.learning.rollout import trajectory
 from fntg_jax.running.evaluation import environment_for, held_out_scenes
 
@@ -112,7 +112,7 @@ def rule_base(
     """
     scenes = held_out_scenes(world, suite, num_scenes, seed)
     env = environment_for(controller, world)
-    params = layout.expand(controller.layout, jnp.asarray(controller.theta, jnp.float32))
+    params = controller.params32
 
     watched = _watch(params, scenes, env, controller.output, tuple(_rules(controller)))
     mean, strongest, peak = (np.asarray(x, float) for x in watched)

@@ -1,0 +1,97 @@
+"""A learning run as a value: what `fntg_jax.learn` returns."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fntg_jax.controller.controller import Controller
+from fntg_jax.running import run_folder, runner, settings
+from fntg_jax.running.runner import History, Progress
+from fntg_jax.running.settings import TrainConfig
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Learnt:
+    """A completed learning run.
+
+    Attributes:
+        controller: the best of all seeds.
+        controllers: the best of each seed, in the order of the seeds.
+        fitness: [seeds], of `controllers`.
+        history: what evolution recorded, leading axes (seed, generation).
+        refined: [seeds, steps] fitness in the course of the refinement, None without one.
+        config: all options of the run.
+    """
+
+    controller: Controller
+    controllers: tuple[Controller, ...]
+    fitness: np.ndarray
+    history: History
+    refined: np.ndarray | None
+    config: TrainConfig
+
+    def __repr__(self) -> str:
+        c = self.config
+        return (
+            f"Learnt({c.seeds} seed{'s' if c.seeds > 1 else ''}, {c.generations} generations, "
+            f"fitness {np.min(self.fitness):.4g} to {np.max(self.fitness):.4g})"
+        )
+
+
+def configure(preset: str, options: dict[str, Any]) -> TrainConfig:
+    """The preset with options over it.
+
+    Args:
+        preset: name in `settings.PRESETS`.
+        options: fields of `TrainConfig`; those that are configurations themselves (ga, fitness,
+            smooth) whole, or as a dict of the fields to change.
+
+    Raises ValueError naming the field, its value and what is allowed.
+    """
+    if preset not in settings.PRESETS:
+        raise ValueError(f"preset = {preset!r}: known are {', '.join(settings.PRESETS)}")
+    values = dataclasses.asdict(settings.PRESETS[preset])
+    for name, value in options.items():
+        default = getattr(settings.PRESETS[preset], name, None)
+        if dataclasses.is_dataclass(default) and not isinstance(default, type):
+            wanted = type(default).__name__
+            if type(value) is type(default):
+                value = dataclasses.asdict(value)  # type: ignore[call-overload]
+            elif isinstance(value, dict):
+                value = {**values[name], **value}
+            else:
+                raise ValueError(f"{name} = {value!r}: allowed is a {wanted} or a dict of fields")
+        values[name] = str(value) if isinstance(value, Path) else value
+    return run_folder.config_from_dict(values)
+
+
+def learn(
+    config: TrainConfig,
+    out: Path | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> Learnt:
+    """Learn to the end and, where `out` names a folder to be made, write a run folder.
+
+    Raises ValueError where that exists already or the configuration does not do.
+    """
+    run = runner.start(config)
+    if out is not None:
+        run_folder.create(out, config)
+    runner.complete(run, on_progress)
+    if out is None:
+        result = run.conclude()
+    else:
+        run_folder.save_checkpoint(out, run)
+        _, result = run_folder.finish(out, run)
+    seeds = range(config.first_seed, config.first_seed + config.seeds)
+    return Learnt(
+        controller=run_folder.controller(run, result=result),
+        controllers=tuple(run_folder.controller(run, seed, result) for seed in seeds),
+        fitness=np.asarray(result.fitness),
+        history=run.history(),
+        refined=result.refined,
+        config=config,
+    )
