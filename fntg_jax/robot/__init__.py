@@ -1,0 +1,172 @@
+"""One robot's control system, the paper's Figure 3: one file a box, one message type an arrow.
+
+    senses -> Vision, Localization, Communication -> Planner -> Behaviors -> Locomotion -> action
+
+`control` is a pure function of one robot; batches of robots and matches are made with `jax.vmap`.
+It knows no world: the body's tables and the field's map come with `Team`.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, UInt32
+
+from envs.base import Action, Senses
+from fntg_jax.robot import (
+    behaviors,
+    communication,
+    gaze,
+    local_map,
+    localization,
+    locomotion,
+    planner,
+    sight,
+)
+from fntg_jax.robot.genes import Genes
+from fntg_jax.robot.geometry import angle, unit
+from fntg_jax.robot.messages import Heard, LocalMap, Order
+
+__all__ = ["Memory", "Team", "begin", "control"]
+
+DT = 0.1  # s, a control step
+_FALLEN = 5.0  # m/s^2, acceleration along the body's z below which it does not stand (g is 9.8)
+
+
+class Team(NamedTuple):
+    """What makes a team, the same for its robots.
+
+    genes: of the planner.  bioa: behaviour 7, (d_ball, d_obstacle, theta_ball, theta_obstacle) ->
+    (v, omega); under jit a pytree such as `jax.tree_util.Partial`.  speeds, kicks, get_up: the
+    body's tables (get_up, spread: postures, 1 + index).  map: of the landmarks, in the team's frame
+    (x from the own goal).  sizes: what Vision knows of the objects.  goalkeeper: whether
+    shirt 0 is one.
+    """
+
+    genes: Genes
+    bioa: Callable[..., Any]
+    speeds: behaviors.Speeds
+    kicks: planner.Kicks
+    get_up: Int[Array, ""]
+    spread: Int[Array, ""]
+    map: Float[Array, "6 2"]
+    ground: planner.Ground
+    sizes: sight.Sizes
+    goalkeeper: Bool[Array, ""]
+
+
+class Memory(NamedTuple):
+    """What a robot carries from one control step to the next.
+
+    shirt: 0, 1, ...; step: control steps since it began; role: index into `planner.ROLES`; rule:
+    index into `planner.RULES` of the one that chose the last order.
+    """
+
+    shirt: Int[Array, ""]
+    step: Int[Array, ""]
+    role: Int[Array, ""]
+    rule: Int[Array, ""]
+    order: Order
+    belief: localization.Belief
+    map: LocalMap
+    heard: Heard
+    gaze: gaze.Gaze
+    head: Float[Array, "3"]
+
+
+def begin(team: Team, shirt: Int[Array, ""], pose: Float[Array, "3"]) -> Memory:
+    """The memory of a robot that was put on its place.  pose: x, y (m), heading (rad) in its team's
+    frame."""
+    zero = jnp.zeros((), jnp.float32)
+    index = jnp.zeros((), jnp.int32)
+    need = planner.Need(zero, zero, zero, zero, zero, zero, index)
+    return Memory(
+        shirt=jnp.asarray(shirt, jnp.int32),
+        step=index,
+        role=jnp.where(shirt == 0, planner.GOALKEEPER, planner.SUPPORTER).astype(jnp.int32),
+        rule=index,
+        order=Order(index + 1, need),
+        belief=localization.begin(pose),
+        map=local_map.empty(),
+        heard=communication.nothing_heard(),
+        gaze=gaze.begin(),
+        head=jnp.zeros(3, jnp.float32),
+    )
+
+
+def control(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, Action]:
+    """One control step of one robot: the boxes in the figure's order."""
+    # Vision: what is seen, in the robot's frame.
+    seen = sight.locate(senses.frame, senses.head, team.sizes)
+    # Locomotion's estimate of the way since the last step.
+    way = locomotion.displacement(senses, DT)
+    turn = unit(way.turn)
+    # Localization: landmarks and displacement -> pose.
+    marks = slice(local_map.LANDMARKS[0], local_map.LANDMARKS[-1] + 1)
+    belief = localization.update(
+        memory.belief,
+        way,
+        turn,
+        seen.distance[marks],
+        seen.cos[marks],
+        seen.sin[marks],
+        seen.visible[marks],
+        seen.spread[marks],
+        team.map,
+    )
+    pose = localization.pose(belief)
+    # Communication: words of the teammates.
+    heard = communication.merge(memory.heard, senses.heard, senses.heard_valid, memory.shirt, DT)
+    # Planner: local map, role, choice of behaviour.
+    around = local_map.moved(memory.map, way, turn, DT)
+    around = local_map.sighted(around, seen, DT)
+    around = local_map.told(around, heard, pose, team.genes.word_trusted)
+    f = planner.facts(
+        around,
+        pose,
+        heard,
+        memory.role,
+        memory.shirt,
+        team.genes,
+        team.kicks,
+        team.ground,
+        (jnp.asarray(senses.proximity), senses.head[1]),
+        team.goalkeeper,
+    )
+    order, rule = planner.decide(f, team.genes)
+    # Behaviors: velocities and walking style, or a kick.
+    motion = behaviors.act(order.behavior, order.need, team.speeds, team.bioa)
+    spreads = (f.role == planner.GOALKEEPER) & f.known & (f.incoming > team.genes.save_speed)
+    spreads &= (f.arrival < team.genes.spread_time) & (jnp.abs(f.crossing) < 0.3)
+    posture = jnp.where(spreads, team.spread, motion.posture)
+    fallen = senses.acceleration[2] < _FALLEN
+    posture = jnp.where(fallen, team.get_up, posture)
+    motion = motion._replace(posture=posture, kick=jnp.where(fallen, 0, motion.kick))
+    # Vision moves the head.
+    ball = around.distance[0] * around.cos[0], around.distance[0] * around.sin[0]
+    look, head = gaze.look(memory.gaze, f.known, ball, jnp.asarray(team.genes.glance), DT)
+    # Locomotion: what the body is asked for; Communication: a word when it is our turn.
+    word = communication.Word(
+        sender=memory.shirt,
+        role=f.role,
+        x=pose.x,
+        y=pose.y,
+        heading=angle(pose.cos, pose.sin),
+        sd=pose.sd,
+        ball_x=pose.x + pose.cos * ball[0] - pose.sin * ball[1],
+        ball_y=pose.y + pose.sin * ball[0] + pose.cos * ball[1],
+        ball_age=jnp.where(f.known, around.age[0], jnp.inf),
+    )
+    speaks = communication.turn(memory.shirt, memory.step)
+    say: UInt32[Array, 2] = jnp.where(speaks, communication.pack(word), jnp.uint32(0))
+    return memory._replace(
+        step=memory.step + 1,
+        role=f.role,
+        rule=rule,
+        order=order,
+        belief=belief,
+        map=around,
+        heard=heard,
+        gaze=look,
+        head=head,
+    ), locomotion.action(motion, head, say)

@@ -43,15 +43,14 @@ def look(
     gaze: Gaze,
     known: Bool[Array, ""],
     ball: tuple[Scalar, Scalar],
-    lost_pose: Bool[Array, ""],
     every: Scalar,
     dt: float,
     neck: Head = Head(),
 ) -> tuple[Gaze, Float[Array, "3"]]:
     """The head's set-points (tilt, pan, roll), and the memory of it.
 
-    known: the ball is on the map; ball: x, y in the robot's frame, m; lost_pose: the robot does not
-    know where it stands; every: s between glances; dt: s.
+    known: the ball is on the map; ball: x, y in the robot's frame, m; every: s between
+    glances; dt: s.
     """
     time = gaze.time + dt
     begins = time >= every

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from envs.base import SEEN
 from fntg_jax.robot.geometry import length, polar
-from fntg_jax.robot.messages import Displacement, Heard, LocalMap, Pose, Seen
+from fntg_jax.robot.messages import Displacement, Heard, LocalMap, Pose, Scalar, Seen
 
 BALL = SEEN.index("ball")
 LANDMARKS = tuple(SEEN.index(f"landmark{n}") for n in range(6))
@@ -91,7 +91,7 @@ def sighted(memory: LocalMap, seen: Seen, dt: float) -> LocalMap:
     )
 
 
-def told(memory: LocalMap, heard: Heard, pose: Pose, trust: float) -> LocalMap:
+def told(memory: LocalMap, heard: Heard, pose: Pose, trust: Scalar | float) -> LocalMap:
     """The map after teammates' words about the ball, weighted by their uncertainty.
 
     trust: s, how old a sighting of a teammate may be, its message's age included.

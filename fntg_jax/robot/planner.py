@@ -88,11 +88,12 @@ def facts(
     kicks: Kicks,
     ground: Ground,
     proximity: tuple[Scalar, Scalar],
+    goalkeeper: Array,
 ) -> Facts:
     """What the decision rests on.
 
     role: of the last step; shirt: 0, 1, ...; proximity: the head's infrared distance (m) and the
-    direction it was measured in (rad).
+    direction it was measured in (rad); goalkeeper: whether shirt 0 keeps the goal.
     """
     d_ball = memory.distance[BALL]
     bx, by = d_ball * memory.cos[BALL], d_ball * memory.sin[BALL]
@@ -119,7 +120,9 @@ def facts(
     approach_x, approach_y = _local(tx, ty, pose)
 
     kick, kickable = _best_kick(bx, by, aim, genes, kicks)
-    role = _role(d_ball, misaligned, east, north, known, heard, role, shirt, genes)
+    role = _role(
+        d_ball, misaligned, east, north, known, heard, role, (shirt == 0) & goalkeeper, genes
+    )
     # Places: goalkeeper before its line on the ball's side; supporter behind the ball, to the side
     # that has more room.
     keeper_y = jnp.clip(genes.keeper_side * north, -0.8 * ground.half_goal, 0.8 * ground.half_goal)
@@ -193,7 +196,7 @@ def _best_kick(bx, by, aim, genes, kicks):
     return best, least < genes.kick_angle
 
 
-def _role(d_ball, misaligned, east, north, known, heard, last, shirt, genes):
+def _role(d_ball, misaligned, east, north, known, heard, last, keeper, genes):
     """Attacker is who is nearest to the ball, by its own reckoning; who hears nothing goes."""
     own = d_ball + genes.turn_cost * jnp.abs(misaligned)
     own = own - jnp.where(last == ATTACKER, genes.commit, 0.0)
@@ -207,7 +210,7 @@ def _role(d_ball, misaligned, east, north, known, heard, last, shirt, genes):
         theirs = theirs - jnp.where(heard.role[mate] == ATTACKER, genes.commit, 0.0)
         first &= ~counts | (own <= theirs)
     role = jnp.where(first, ATTACKER, SUPPORTER)
-    return jnp.where(shirt == 0, GOALKEEPER, role)
+    return jnp.where(keeper, GOALKEEPER, role)
 
 
 def _nearest(memory, pose, genes, ground, proximity, d_ball, ball):
