@@ -30,6 +30,7 @@ from fntg_jax.robot.messages import Heard, LocalMap, Order
 __all__ = ["Memory", "Team", "begin", "control"]
 
 DT = 0.1  # s, a control step
+_SCAN = 0.7  # s without a sight of the ball after which the head scans for it (assumed)
 _FALLEN = 5.0  # m/s^2, acceleration along the body's z below which it does not stand (g is 9.8)
 
 
@@ -144,7 +145,7 @@ def control(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, Action]
     motion = motion._replace(posture=posture, kick=jnp.where(fallen, 0, motion.kick))
     # Vision moves the head.
     ball = around.distance[0] * around.cos[0], around.distance[0] * around.sin[0]
-    look, head = gaze.look(memory.gaze, f.known, ball, jnp.asarray(team.genes.glance), DT)
+    look, head = gaze.look(memory.gaze, around.age[0] < _SCAN, ball, jnp.asarray(team.genes.glance), DT)
     # Locomotion: what the body is asked for; Communication: a word when it is our turn.
     word = communication.Word(
         sender=memory.shirt,

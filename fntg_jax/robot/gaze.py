@@ -41,7 +41,7 @@ def look_to(x: Scalar, y: Scalar, z: Scalar, neck: Head = Head()) -> tuple[Scala
 
 def look(
     gaze: Gaze,
-    known: Bool[Array, ""],
+    fresh: Bool[Array, ""],
     ball: tuple[Scalar, Scalar],
     every: Scalar,
     dt: float,
@@ -49,7 +49,7 @@ def look(
 ) -> tuple[Gaze, Float[Array, "3"]]:
     """The head's set-points (tilt, pan, roll), and the memory of it.
 
-    known: the ball is on the map; ball: x, y in the robot's frame, m; every: s between
+    fresh: the ball was seen a moment ago; ball: x, y in the robot's frame, m; every: s between
     glances; dt: s.
     """
     time = gaze.time + dt
@@ -57,14 +57,14 @@ def look(
     time = jnp.where(begins, 0.0, time)
     side = jnp.where(begins, -gaze.side, gaze.side)
     near = ball[0] ** 2 + ball[1] ** 2 < 0.3**2
-    glance = known & (time < _GLANCE) & ~near
+    glance = fresh & (time < _GLANCE) & ~near
     # A triangle wave from side to side.
     phase = time / _SCAN_PERIOD
     wave = 4 * jnp.abs(phase - jnp.floor(phase + 0.5)) - 1
     scan = wave * neck.high[1]
     tilt, pan = look_to(ball[0], ball[1], jnp.full_like(ball[0], 0.042), neck)
     away = jnp.clip(pan + side * 1.0, neck.low[1], neck.high[1])
-    tilt = jnp.where(known & ~glance, tilt, jnp.where(glance, -0.05, _DOWN))
-    pan = jnp.where(known & ~glance, pan, jnp.where(glance, away, scan))
+    tilt = jnp.where(fresh & ~glance, tilt, jnp.where(glance, -0.05, _DOWN))
+    pan = jnp.where(fresh & ~glance, pan, jnp.where(glance, away, scan))
     head = jnp.stack([tilt, pan, jnp.zeros_like(pan)])
     return Gaze(time, side), head
