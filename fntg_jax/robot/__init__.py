@@ -145,7 +145,9 @@ def control(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, Action]
     motion = motion._replace(posture=posture, kick=jnp.where(fallen, 0, motion.kick))
     # Vision moves the head.
     ball = around.distance[0] * around.cos[0], around.distance[0] * around.sin[0]
-    look, head = gaze.look(memory.gaze, around.age[0] < _SCAN, ball, jnp.asarray(team.genes.glance), DT)
+    look, head = gaze.look(
+        memory.gaze, around.age[0] < _SCAN, ball, jnp.asarray(team.genes.glance), DT
+    )
     # Locomotion: what the body is asked for; Communication: a word when it is our turn.
     word = communication.Word(
         sender=memory.shirt,
