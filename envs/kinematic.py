@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from envs import scenes
+from envs import mix, scenes
 from envs.base import Limits, Observation, Scalar, Scene, Snapshot, World, check_options
 from envs.field import (
     FIELD,
@@ -307,4 +307,4 @@ def make(**options: float) -> Kinematic:
     )
 
 
-world = World(make=make, suites=scenes.SUITES, mix=scenes.Mix, field=FIELD)
+world = World(make=make, suites=scenes.SUITES, mix=mix.Mix, field=FIELD)

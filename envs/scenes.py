@@ -2,19 +2,20 @@
 
 A suite is a function (key, num_scenes) -> Scene with a leading axis.  Random scenes are drawn
 by rejection: many candidates at once, the first valid one is taken, so that a suite is one
-jitted call and the same key always gives the same scenes.
+jitted call and the same key always gives the same scenes.  A candidate is valid only where its
+task can be done: `_stand`.
 """
 
-import dataclasses
 from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from envs.base import Scene
-from envs.field import FIELD, Ball, roll_ball
+from envs.base import Scalar, Scene
+from envs.field import FIELD, Ball, Disc, nearest_obstacle, roll_ball
 
 # The four starts of the paper's Fig. 6 and its numbers are not in the text: these are ours,
 # chosen before any training so that the ball lies ahead, behind, left and right, and so that
@@ -23,8 +24,9 @@ PAPER_STARTS = ((-1.0, -0.1, 0.0), (-0.9, 0.6, -1.2), (0.2, -0.65, 2.6), (1.1, 0
 PAPER_BALL = (0.35, 0.15)
 PAPER_OBSTACLE = (-0.3, 0.0, 0.12)  # x, y, radius: m
 
-BALL_TO_WALL = 0.30  # m, least distance of a ball from a wall ...
+BALL_TO_WALL = 0.30  # m, least distance of a resting ball from a wall ...
 BALL_TO_OBSTACLE = 0.35  # m, ... and from an obstacle's surface
+ANYWHERE = 0.06  # m, both of them where balls lie as near as can be reached without touching
 START_TO_WALL = BALL_TO_WALL  # m
 START_TO_OBSTACLE = BALL_TO_OBSTACLE  # m, from its surface
 START_TO_BALL = 0.30  # m
@@ -36,11 +38,21 @@ BALL_SPEED = (0.05, 0.30)  # m/s
 BALL_DECELERATION = 0.05  # m/s^2
 OBSTACLE_SPEED = (0.02, 0.10)  # m/s
 
-# Candidates per draw: one in six is valid for a blocked scene, one in three or more elsewhere, so
-# that a scene without any valid candidate practically does not happen (about 1e-9).
+# Margins that a suite takes as options: name -> least and largest value, m.
+MARGINS = {"wall": (ANYWHERE, 0.40), "obstacle": (ANYWHERE, 0.40)}
+
+# Where a robot may stand to have the ball: its centre this far from it at most, and this far from
+# walls and obstacles at least.  Success asks for 0.10 and 0.145 m: 1 cm and 5 mm are left over.
+STAND_REACH = 0.09  # m
+STAND_CLEARANCE = 0.15  # m
+_STANDS = 24  # directions looked at around a ball
+
+# Candidates per draw: one in six is valid for a blocked scene or in traffic, one in three or more
+# elsewhere, so that a scene without any valid candidate practically does not happen (about 1e-9).
 _CANDIDATES = 64
-_CANDIDATES_BLOCKED = 128
+_CANDIDATES_RARE = 128
 _HORIZON = 22.0  # s, an episode
+_INSTANTS = 111  # of an episode, looked at where something moves
 
 
 def paper(key: Key[Array, ""], num_scenes: int = 4) -> Scene:
@@ -58,31 +70,58 @@ def paper(key: Key[Array, ""], num_scenes: int = 4) -> Scene:
     )
 
 
-def open_field(key: Key[Array, ""], num_scenes: int, num_obstacles: int = 1) -> Scene:
-    """Anything anywhere: random start, ball and obstacles."""
-    return _draw(key, num_scenes, num_obstacles, blocked=False)
+class Margins(NamedTuple):
+    """How near a resting ball may lie to a wall and to an obstacle's surface, m."""
+
+    wall: Scalar = BALL_TO_WALL
+    obstacle: Scalar = BALL_TO_OBSTACLE
 
 
-def blocked(key: Key[Array, ""], num_scenes: int, num_obstacles: int = 1) -> Scene:
+def open_field(
+    key: Key[Array, ""], num_scenes: int, num_obstacles: int = 1, **margins: float
+) -> Scene:
+    """Anything anywhere: random start, ball and obstacles.  margins: of `Margins`, as in every
+    suite below."""
+    return _draw(key, Margins(**margins), num_scenes, num_obstacles)
+
+
+def blocked(
+    key: Key[Array, ""], num_scenes: int, num_obstacles: int = 1, **margins: float
+) -> Scene:
     """The first obstacle's centre lies within 0.145 m of the straight line start-ball."""
-    return _draw(key, num_scenes, num_obstacles, blocked=True)
+    return _draw(key, Margins(**margins), num_scenes, num_obstacles, blocked=True)
 
 
-def crowded(key: Key[Array, ""], num_scenes: int, num_obstacles: int = 2) -> Scene:
+def crowded(
+    key: Key[Array, ""], num_scenes: int, num_obstacles: int = 2, **margins: float
+) -> Scene:
     """`blocked` with a second obstacle, anywhere that leaves a way between the two."""
-    return _draw(key, num_scenes, num_obstacles, blocked=True)
+    return _draw(key, Margins(**margins), num_scenes, num_obstacles, blocked=True)
 
 
-def moving_ball(key: Key[Array, ""], num_scenes: int, num_obstacles: int = 1) -> Scene:
-    """The ball rolls, slows down and bounces off walls; where it comes to rest it keeps the
-    distances of a lying ball."""
-    return _draw(key, num_scenes, num_obstacles, blocked=False, rolling=True)
+def moving_ball(
+    key: Key[Array, ""], num_scenes: int, num_obstacles: int = 1, **margins: float
+) -> Scene:
+    """The ball rolls, slows down, bounces off walls and never runs into an obstacle; where it
+    comes to rest it keeps the distances of a lying ball."""
+    return _draw(key, Margins(**margins), num_scenes, num_obstacles, rolling=True)
 
 
-def moving_obstacles(key: Key[Array, ""], num_scenes: int, num_obstacles: int = 1) -> Scene:
+def moving_obstacles(
+    key: Key[Array, ""], num_scenes: int, num_obstacles: int = 1, **margins: float
+) -> Scene:
     """Obstacles walk straight on and turn at walls, never nearer to the ball than allowed."""
-    return _draw(key, num_scenes, num_obstacles, blocked=False, walking=True)
+    return _draw(key, Margins(**margins), num_scenes, num_obstacles, walking=True)
 
+
+def traffic(
+    key: Key[Array, ""], num_scenes: int, num_obstacles: int = 2, **margins: float
+) -> Scene:
+    """The ball rolls and all obstacles walk, never nearer to the ball than allowed."""
+    return _draw(key, Margins(**margins), num_scenes, num_obstacles, rolling=True, walking=True)
+
+
+_ANYWHERE = {"wall": ANYWHERE, "obstacle": ANYWHERE}
 
 SUITES: dict[str, Callable[..., Scene]] = {
     "paper": paper,
@@ -91,31 +130,69 @@ SUITES: dict[str, Callable[..., Scene]] = {
     "crowded": crowded,
     "moving-ball": moving_ball,
     "moving-obstacles": moving_obstacles,
+    "anywhere": partial(open_field, **_ANYWHERE),
+    "blocked-anywhere": partial(blocked, **_ANYWHERE),
+    "moving-anywhere": partial(moving_ball, **_ANYWHERE),
+    "traffic": traffic,
 }
 
 
+def get_suite(name: str) -> Callable[..., Scene]:
+    """The suite of that name, which may carry margins: "blocked/wall=0.1/obstacle=0.2" (m).
+
+    Raises ValueError naming the unknown suite or option, or the value and what is allowed.
+    """
+    suite, *options = name.split("/")
+    if suite not in SUITES:
+        raise ValueError(f"suite = {suite!r}: known are {', '.join(SUITES)}")
+    margins = {}
+    for option in options:
+        key, _, text = option.partition("=")
+        if key not in MARGINS or suite == "paper":
+            known = "none" if suite == "paper" else ", ".join(f"{m}=METRES" for m in MARGINS)
+            raise ValueError(f"option {option!r} of suite {suite}: known are {known}")
+        low, high = MARGINS[key]
+        try:
+            margins[key] = float(text)
+        except ValueError:
+            margins[key] = float("nan")
+        if not low <= margins[key] <= high:
+            raise ValueError(f"{key} = {text!r} of suite {suite}: allowed are {low} to {high} m")
+    return partial(SUITES[suite], **margins)
+
+
 @partial(jax.jit, static_argnames=("num_scenes", "num_obstacles", "blocked", "rolling", "walking"))
-def _draw(key, num_scenes, num_obstacles, *, blocked, rolling=False, walking=False) -> Scene:
+def _draw(
+    key, margins, num_scenes, num_obstacles, *, blocked=False, rolling=False, walking=False
+) -> Scene:
     draw = partial(
-        _draw_one, num_obstacles=num_obstacles, blocked=blocked, rolling=rolling, walking=walking
+        _draw_one,
+        margins=margins,
+        num_obstacles=num_obstacles,
+        blocked=blocked,
+        rolling=rolling,
+        walking=walking,
     )
     return jax.vmap(draw)(jax.random.split(key, num_scenes))
 
 
-def _draw_one(key, *, num_obstacles: int, blocked: bool, rolling: bool, walking: bool) -> Scene:
+def _draw_one(key, *, margins, num_obstacles, blocked, rolling, walking) -> Scene:
     k_first, k_obstacles, k_seed = jax.random.split(key, 3)
     # Start, ball and (when blocked) the first obstacle stand in relation to each other and
     # are drawn together; every further obstacle is drawn given what is there already.
-    scenes, valid = jax.vmap(partial(_candidate, blocked=blocked, rolling=rolling))(
-        jax.random.split(k_first, _CANDIDATES_BLOCKED if blocked else _CANDIDATES)
-    )
+    scenes, valid = jax.vmap(
+        partial(_candidate, margins=margins, blocked=blocked, rolling=rolling)
+    )(jax.random.split(k_first, _CANDIDATES_RARE if blocked else _CANDIDATES))
     scene = _first(scenes, valid)
     discs = [scene["obstacle"]] if blocked else []
     speeds = [jnp.zeros(2)] if blocked else []
+    path = _path(scene["ball"], scene["velocity"]) if rolling else scene["ball"][None]
+    num = _CANDIDATES_RARE if rolling and walking else _CANDIDATES
     for k in jax.random.split(k_obstacles, num_obstacles)[len(discs) :]:
-        found, ok = jax.vmap(partial(_obstacle, scene=scene, discs=tuple(discs), walking=walking))(
-            jax.random.split(k, _CANDIDATES)
+        draw = partial(
+            _obstacle, scene=scene, path=path, discs=tuple(discs), margins=margins, walking=walking
         )
+        found, ok = jax.vmap(draw)(jax.random.split(k, num))
         disc, speed = _first(found, ok)
         discs.append(disc)
         speeds.append(speed)
@@ -149,10 +226,10 @@ def _velocity_of(u, speed) -> Float[Array, "2"]:
     return _between(u[0], *speed) * jnp.stack([jnp.cos(course), jnp.sin(course)])
 
 
-def _candidate(key, *, blocked: bool, rolling: bool):
+def _candidate(key, *, margins, blocked: bool, rolling: bool):
     u = jax.random.uniform(key, (10,))
     start = _place(u[0:2], START_TO_WALL)
-    ball = _place(u[2:4], BALL_TO_WALL)
+    ball = _place(u[2:4], margins.wall)
     velocity = _velocity_of(u[4:6], BALL_SPEED)
     rest = _rest(ball, velocity) if rolling else ball
     line = ball - start
@@ -160,7 +237,7 @@ def _candidate(key, *, blocked: bool, rolling: bool):
     across = jnp.stack([-line[1], line[0]]) / jnp.maximum(length, 1e-6)
     centre = start + u[6] * line + _between(u[7], -1, 1) * BLOCKED_OFFSET * across
     disc = jnp.append(centre, _between(u[8], *OBSTACLE_RADIUS))
-    valid = (length >= START_TO_BALL) & _inside(rest, BALL_TO_WALL)
+    valid = (length >= START_TO_BALL) & _inside(rest, margins.wall)
     scene = {
         "start": jnp.append(start, _between(u[9], -jnp.pi, jnp.pi)),
         "ball": ball,
@@ -169,27 +246,36 @@ def _candidate(key, *, blocked: bool, rolling: bool):
         "obstacle": disc,
     }
     if blocked:
-        valid &= (length >= BLOCKED_LENGTH) & _clear(disc, scene) & _inside(centre, disc[2])
-    return scene, valid
+        valid &= (length >= BLOCKED_LENGTH) & _clear(disc, scene, margins)
+        valid &= _inside(centre, disc[2])
+    return scene, valid & _stand(rest, (disc,) if blocked else ())
 
 
-def _obstacle(key, *, scene, discs, walking: bool):
+def _obstacle(key, *, scene, path, discs, margins, walking: bool):
     u = jax.random.uniform(key, (5,))
     disc = jnp.append(_place(u[0:2], OBSTACLE_RADIUS[0]), _between(u[2], *OBSTACLE_RADIUS))
     velocity = _velocity_of(u[3:5], OBSTACLE_SPEED)
-    valid = _clear(disc, scene) & _inside(disc[:2], disc[2])
+    valid = _clear(disc, scene, margins) & _inside(disc[:2], disc[2])
     for other in discs:
         gap = jnp.linalg.norm(disc[:2] - other[:2]) - disc[2] - other[2]
         valid &= gap >= OBSTACLE_GAP
     if walking:
-        # Straight motion with elastic walls, unfolded: where it is at 45 instants.
-        times = jnp.linspace(0.0, _HORIZON, 45)[:, None]
+        # Straight motion with elastic walls, unfolded: at most once to and fro in an episode.
+        times = jnp.linspace(0.0, _HORIZON, _INSTANTS)[::2, None]
         half = jnp.asarray([0.5 * FIELD.length, 0.5 * FIELD.width]) - disc[2]
-        unfolded = disc[:2] + times * velocity - half
-        path = jnp.abs(unfolded % (4 * half) - 2 * half) - half
-        gap = jnp.linalg.norm(path - scene["ball"], axis=1) - disc[2]
-        valid &= jnp.all(gap >= BALL_TO_OBSTACLE)
-    return (disc, velocity), valid
+        way = disc[:2] + times * velocity + half
+        way += 4 * half * (jnp.where(way < 0, 1, 0) - jnp.where(way >= 4 * half, 1, 0))
+        centres = half - jnp.abs(way - 2 * half)
+        gap = _gap(centres, disc, path[::2])
+        return (disc, velocity), valid & (gap >= margins.obstacle)
+    valid &= _gap(disc[:2], disc, path) >= FIELD.ball_radius
+    return (disc, velocity), valid & _stand(scene["rest"], (*discs, disc))
+
+
+def _gap(centres, disc, path):
+    """Least distance between a disc's surface and the ball's centre, m."""
+    apart = centres - path
+    return jnp.sqrt(jnp.min(apart[..., 0] ** 2 + apart[..., 1] ** 2)) - disc[2]
 
 
 def _inside(point, margin):
@@ -197,10 +283,43 @@ def _inside(point, margin):
     return jnp.all(jnp.abs(point) <= half)
 
 
-def _clear(disc, scene):
+def _clear(disc, scene, margins):
     gap_ball = jnp.linalg.norm(disc[:2] - scene["rest"]) - disc[2]
     gap_start = jnp.linalg.norm(disc[:2] - scene["start"][:2]) - disc[2]
-    return (gap_ball >= BALL_TO_OBSTACLE) & (gap_start >= START_TO_OBSTACLE)
+    return (gap_ball >= margins.obstacle) & (gap_start >= START_TO_OBSTACLE)
+
+
+def _stand(ball, discs):
+    """Whether a robot can come to a ball at rest: somewhere within STAND_REACH of it there is
+    STAND_CLEARANCE to walls and discs, and no disc shuts that place in."""
+    angle = jnp.linspace(0, 2 * jnp.pi, _STANDS, endpoint=False)
+    x = jnp.append(ball[0] + STAND_REACH * jnp.cos(angle), ball[0])
+    y = jnp.append(ball[1] + STAND_REACH * jnp.sin(angle), ball[1])
+    free, _, _ = nearest_obstacle(x, y, [Disc(*disc) for disc in discs])
+    good = free >= STAND_CLEARANCE
+    for disc in discs:
+        # The room for the robot's centre ends STAND_CLEARANCE from the walls.  A disc that leaves
+        # no way along either wall, but does not cover the corner between them, cuts that off.
+        to_x = 0.5 * FIELD.length - STAND_CLEARANCE - jnp.abs(disc[0])
+        to_y = 0.5 * FIELD.width - STAND_CLEARANCE - jnp.abs(disc[1])
+        wide = disc[2] + STAND_CLEARANCE
+        shuts = (to_x < wide) & (to_y < wide)
+        beyond = (x * jnp.sign(disc[0]) > jnp.abs(disc[0])) & (
+            y * jnp.sign(disc[1]) > jnp.abs(disc[1])
+        )
+        good &= ~(shuts & beyond)
+    return jnp.any(good)
+
+
+def _path(ball, velocity):
+    """Where a rolling ball is at the instants of an episode, [_INSTANTS, 2]."""
+    dt = _HORIZON / (_INSTANTS - 1)
+
+    def roll(now, _):
+        return roll_ball(now, dt, BALL_DECELERATION), jnp.stack([now.x, now.y])
+
+    start = Ball(ball[0], ball[1], velocity[0], velocity[1])
+    return jax.lax.scan(roll, start, None, _INSTANTS)[1]
 
 
 def _rest(ball, velocity):
@@ -210,70 +329,3 @@ def _rest(ball, velocity):
     steps = int(BALL_SPEED[1] / BALL_DECELERATION / dt) + 2
     rolled = jax.lax.fori_loop(0, steps, lambda _, b: roll_ball(b, dt, BALL_DECELERATION), rolling)
     return jnp.stack([rolled.x, rolled.y])
-
-
-@dataclasses.dataclass(frozen=True)
-class Mix:
-    """Training scenes: the named suites in the given proportions, freshly drawn from a key.
-
-    Counts are rounded to the nearest scene, the first suite takes what is left over.  Raises
-    ValueError on an unknown suite or a share that is not positive.
-    """
-
-    shares: tuple[tuple[str, float], ...]
-
-    def __post_init__(self):
-        for name, share in self.shares:
-            if name not in SUITES:
-                raise ValueError(f"suite {name!r}: known are {', '.join(SUITES)}")
-            if not 0 < share <= 1e6:
-                raise ValueError(
-                    f"share of suite {name} = {share}: allowed are numbers above 0, up to 1e6"
-                )
-
-    def __call__(self, key: Key[Array, ""], num_scenes: int) -> Scene:
-        total = sum(share for _, share in self.shares)
-        counts = [round(num_scenes * share / total) for _, share in self.shares]
-        counts[0] += num_scenes - sum(counts)
-        keys = jax.random.split(key, len(counts))
-        parts = [SUITES[name](k, n) for (name, _), k, n in zip(self.shares, keys, counts) if n > 0]
-        return concatenate(parts)
-
-
-def concatenate(parts: list[Scene]) -> Scene:
-    """One batch of scenes out of several.
-
-    Where one part moves and another doesn't, the still one gets velocities of zero; where one has
-    fewer obstacles (at least one), it gets copies of its first.
-    """
-    most = max(p.obstacles.shape[-2] for p in parts)
-    parts = [_filled_up(p, most - p.obstacles.shape[-2]) for p in parts]
-    moving_ball = any(p.ball_velocity is not None for p in parts)
-    moving_obstacle = any(p.obstacle_velocity is not None for p in parts)
-    full = [
-        p._replace(
-            ball_velocity=_velocity(p.ball_velocity, p.ball, moving_ball),
-            obstacle_velocity=_velocity(p.obstacle_velocity, p.obstacles[..., :2], moving_obstacle),
-        )
-        for p in parts
-    ]
-    return jax.tree.map(lambda *xs: jnp.concatenate(xs), *full)
-
-
-def _filled_up(scene: Scene, num: int) -> Scene:
-    """`num` obstacles more: copies of the first, which change nothing."""
-
-    def more(rows):
-        return jnp.concatenate([rows, *[rows[:, :1]] * num], axis=1)
-
-    velocity = scene.obstacle_velocity
-    return scene._replace(
-        obstacles=more(scene.obstacles),
-        obstacle_velocity=None if velocity is None else more(velocity),
-    )
-
-
-def _velocity(velocity, like, wanted: bool):
-    if not wanted:
-        return None
-    return jnp.zeros_like(like) if velocity is None else velocity

@@ -130,7 +130,7 @@ def train(name: str, task: Task, seed: int, budget: int, checkpoints: int):
     import brax
 
     from envs.brax import EPISODE_LENGTH, Bioa
-    from envs.scenes import concatenate
+    from envs.mix import concatenate
 
     env = Bioa(task.traced.env, task.traced.scenes)
     eval_env = Bioa(task.traced.env, concatenate(task.held_out))

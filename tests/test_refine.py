@@ -9,7 +9,7 @@ import numpy as np
 import optax
 import pytest
 
-from envs import kinematic, scenes
+from envs import kinematic, mix, scenes
 from fntg_jax import export, shipped
 from fntg_jax.commands import cli
 from fntg_jax.controller.layout import LAYOUTS, expand_scalars
@@ -131,7 +131,7 @@ def test_the_gradient_is_that_of_difference_quotients_away_from_jumps():
     late = np.array(export.load(shipped("bioa")).theta)
     late[-2] -= 3.0  # too slow to arrive: a trial that succeeds costs nothing, and has no slope
     thetas = np.vstack([thetas, late])
-    drawn = scenes.concatenate(
+    drawn = mix.concatenate(
         [scenes.SUITES[n](jax.random.key(3), 3) for n in ("blocked", "moving-ball")]
     )
     with jax.enable_x64(True):

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from envs import kinematic, scenes
+from envs import kinematic, mix, scenes
 from envs.base import Limits
 from fntg_jax.controller.layout import LAYOUTS, expand_scalars
 from fntg_jax.learning import fitness
@@ -26,7 +26,7 @@ def some(suite, num):
 
 def some_of_all():
     """Two scenes of every random suite: still and moving in one batch."""
-    return scenes.concatenate([some(name, 2) for name in scenes.SUITES if name != "paper"])
+    return mix.concatenate([some(name, 2) for name in scenes.SUITES if name != "paper"])
 
 
 def doubled(tree):

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from envs import scenes
+from envs import mix, scenes
 from envs.base import Film, Limits, Scene, World, check_options
 from envs.field import FIELD
 
@@ -57,7 +57,7 @@ def _film(env: Any, batch: Scene, control: Callable[[Any], Any], window: bool) -
 
 
 def _world(impl: str) -> World:
-    return World(partial(make, impl), scenes.SUITES, scenes.Mix, FIELD, _film)
+    return World(partial(make, impl), scenes.SUITES, mix.Mix, FIELD, _film)
 
 
 world = _world("structured")

@@ -168,14 +168,15 @@ _WORDS = {
 
 
 def get_suite(world: Any, suite: str) -> Callable[..., Any]:
-    """(key, num_scenes) -> scenes, for one suite or a mix "open:2,blocked:3".
+    """(key, num_scenes) -> scenes, for one suite, with options where the world's suites take some,
+    "blocked/wall=0.1", or a mix "open:2,blocked:3".
 
-    Raises ValueError naming the unknown suite or the unusable share.
+    Raises ValueError naming the unknown suite or option, or the unusable share.
     """
-    if ":" not in suite:
-        if suite not in world.suites:
-            raise ValueError(f"suite = {suite!r}: known are {', '.join(world.suites)}")
+    if suite in world.suites:
         return world.suites[suite]
+    if ":" not in suite:
+        return world.mix(((suite, 1.0),))
     shares = []
     for part in suite.split(","):
         name, _, share = part.partition(":")
