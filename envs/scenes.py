@@ -8,7 +8,7 @@ task can be done: `_stand`.
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -121,7 +121,7 @@ def traffic(
     return _draw(key, Margins(**margins), num_scenes, num_obstacles, rolling=True, walking=True)
 
 
-_ANYWHERE = {"wall": ANYWHERE, "obstacle": ANYWHERE}
+_ANYWHERE: dict[str, Any] = {"wall": ANYWHERE, "obstacle": ANYWHERE}
 
 SUITES: dict[str, Callable[..., Scene]] = {
     "paper": paper,
