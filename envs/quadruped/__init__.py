@@ -39,7 +39,9 @@ def make(impl: str = "structured", /, **options: float) -> Any:
     except ModuleNotFoundError as error:
         if not (error.name or "").startswith("mujoco"):
             raise
-        raise ValueError("the quadruped needs MuJoCo: pip install 'fntg-jax[mjx]'") from error
+        raise ValueError(
+            f"the quadruped needs {error.name}: pip install mujoco mujoco-mjx"
+        ) from error
     # MuJoCo loads its OpenGL back end when it is imported; each fails with errors of its own.
     except (AttributeError, OSError, RuntimeError) as error:
         chosen = os.environ.get("MUJOCO_GL", "")
