@@ -28,6 +28,7 @@ COMMANDS = {
     "export": "write a run's or file's controller in another format",
     "localize": "where a robot was, from a log of odometry and landmarks",
     "see": "landmarks in photographs: which, in what direction, how far",
+    "match": "two teams, many matches under the referee: goals, wins, statistics",
     "doctor": "versions, devices, cache and rendering, against what was tested",
 }
 

@@ -1,0 +1,137 @@
+"""`fntg match`: two teams, many matches under the referee."""
+
+import dataclasses
+import io
+import json
+import os
+from pathlib import Path
+
+from fntg_jax.commands.cli import parse, say
+from fntg_jax.running import xla
+
+
+@dataclasses.dataclass(frozen=True)
+class MatchOptions:
+    """Matches between two teams, many at once: goals, wins with 95 % intervals, statistics.  A team
+    is still, random, chaser or another that is installed, or a file (.json, or .py that defines
+    make(match, side))."""
+
+    home: str = "chaser"
+    """the team that plays towards +x first."""
+    away: str = "still"
+    """the other team."""
+    matches: int = 100
+    """how many; home kicks off in every other one."""
+    seed: int = 0
+    """decides all noise."""
+    minutes: float = 10.0
+    """of a half."""
+    players: int = 3
+    """robots a side, 1 to 5."""
+    camera: str = "objects"
+    """what robots see: objects, or perfect (the truth)."""
+    sound: str = "symbols"
+    """how they talk: symbols, or none."""
+    home_body: str = "ers210"
+    """body of the home team: ers210, wheels or a table of your own (.json)."""
+    away_body: str = "ers210"
+    """body of the away team."""
+    json: bool = False
+    """print JSON instead of a table."""
+    out: Path | None = None
+    """also write matches.csv, a row for each match and team, into this folder."""
+
+
+COLUMNS = ("own_goals", "possession", "shots", "saves", "passes", "touches", "falls", "penalties")
+
+
+def main(argv: list[str]) -> None:
+    options = parse(MatchOptions, argv, "match")
+    if options.out is not None and options.out.exists() and not options.out.is_dir():
+        raise ValueError(f"out = {options.out}: allowed is a folder")
+    if not 0 <= options.seed < 2**31:
+        raise ValueError(f"seed = {options.seed}: allowed are 0 to {2**31 - 1}")
+    xla.configure(num_cpu_devices=len(os.sched_getaffinity(0)))
+    from fntg_jax.running import matches
+
+    if not 1 <= options.matches <= matches.MOST:
+        raise ValueError(f"matches = {options.matches}: allowed are 1 to {matches.MOST}")
+    if not 0.01 <= options.minutes <= 1000:
+        raise ValueError(f"minutes = {options.minutes}: allowed are 0.01 to 1000 a half")
+    match = matches.get_match(
+        "soccer",
+        players=options.players,
+        home=options.home_body,
+        away=options.away_body,
+        camera=options.camera,
+        sound=options.sound,
+        minutes=options.minutes,
+    )
+    teams = [
+        matches.get_team(name, match, k) for k, name in enumerate((options.home, options.away))
+    ]
+    say(f"{options.matches} matches of {match.steps} control steps")
+    results = matches.play_matches(match, *teams, options.matches, options.seed)
+    home, away, draws = matches.summarize(results, (options.home, options.away))
+    if options.out is not None:
+        say(f"rows {_write(options.out, results, (options.home, options.away))}")
+    if options.json:
+        document = {
+            "matches": options.matches,
+            "minutes": options.minutes,
+            "seed": options.seed,
+            "camera": options.camera,
+            "sound": options.sound,
+            "draws": draws.share,
+            "home": _document(home),
+            "away": _document(away),
+        }
+        print(json.dumps(document, indent=1, allow_nan=False))
+        return
+    print(f"{'':16s}{'home':>24s}{'away':>24s}")
+    pair = lambda name, cells: print(f"{name:16s}" + "".join(f"{c:>24s}" for c in cells))  # noqa: E731
+    pair("team", (home.team[-22:], away.team[-22:]))
+    pair("goals", [f"{s.goals:.2f} ({_span(s.goals_interval)})" for s in (home, away)])
+    pair("wins", [str(s.wins) for s in (home, away)])
+    pair("points", [f"{100 * s.points:.1f} %" for s in (home, away)])
+    for name in COLUMNS:
+        unit = (lambda v: f"{100 * v:.1f} %") if name == "possession" else (lambda v: f"{v:.2f}")
+        pair(name.replace("_", " "), [unit(s.means[name]) for s in (home, away)])
+    print(f"{'draws':16s}{draws!s:>24s}")
+
+
+def _span(interval: tuple[float, float]) -> str:
+    return f"{interval[0]:.2f}-{interval[1]:.2f}"
+
+
+def _document(summary) -> dict:
+    return {
+        "team": summary.team,
+        "goals": summary.goals,
+        "goals_interval": list(summary.goals_interval),
+        "wins": summary.wins.share,
+        "wins_interval": [summary.wins.low, summary.wins.high],
+        "points": summary.points,
+        **{name: summary.means[name] for name in COLUMNS},
+    }
+
+
+def _write(folder: Path, results, names: tuple[str, str]) -> Path:
+    import csv
+
+    from fntg_jax.files import write_atomically
+
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["match", "seed", "kickoff", "side", "team", *results.statistics])
+    for n, seed in enumerate(results.seeds):
+        for k, side in enumerate(("home", "away")):
+            values = [int(value[n, k]) for value in results.statistics.values()]
+            rows.writerow([n, seed, ("home", "away")[seed % 2], side, names[k], *values])
+    path = folder / "matches.csv"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, text.getvalue().encode())
+    except OSError as error:
+        raise ValueError(f"out = {folder}: {error.strerror or error}") from None
+    return path
