@@ -67,11 +67,9 @@ def main(argv: list[str]) -> None:
         sound=options.sound,
         minutes=options.minutes,
     )
-    teams = [
-        matches.get_team(name, match, k) for k, name in enumerate((options.home, options.away))
-    ]
+    sides = matches.get_team(options.home, match, 0), matches.get_team(options.away, match, 1)
     say(f"{options.matches} matches of {match.steps} control steps")
-    results = matches.play_matches(match, *teams, options.matches, options.seed)
+    results = matches.play_matches(match, *sides, options.matches, options.seed)
     home, away, draws = matches.summarize(results, (options.home, options.away))
     if options.out is not None:
         say(f"rows {_write(options.out, results, (options.home, options.away))}")
