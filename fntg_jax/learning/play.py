@@ -82,7 +82,7 @@ def play(
     most = _BLOCK if jax.default_backend() == "cpu" else _BLOCK_ELSEWHERE
     blocks = -(-num // most)
     # Whole registers.
-    size = min(-(-num // blocks + 15) // 16 * 16, most) if num > 1 else 1
+    size = -(-num // (16 * blocks)) * 16 if num > 1 else 1
     steps = match.steps if num_steps is None else num_steps
 
     def block(first):
