@@ -40,7 +40,9 @@ from envs.soccer.state import (
 )
 
 CAMERAS, SOUNDS = ("objects", "perfect"), ("symbols", "none")
-SUB_STEPS = 8  # a ball of 3 m/s moves 3.75 cm in one: less than half of a body and a ball
+# A ball of 3 m/s moves 7.5 cm in one, less than the 11.8 cm from a body's surface to its axis, ball
+# included: it is then still on the side from which it came.
+SUB_STEPS = 4
 
 
 class Picture(NamedTuple):
