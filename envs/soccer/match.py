@@ -27,6 +27,7 @@ from envs.soccer import bodies as walking
 from envs.soccer import camera as seeing
 from envs.soccer import feel, noise, referee, sound, tables
 from envs.soccer.state import (
+    CALLS,
     FINISHED,
     KICKOFF,
     PLAY,
@@ -127,6 +128,11 @@ class Match:
     @cached_property
     def air(self) -> tables.Air:
         return tables.load("sound", tables.Air)
+
+    @property
+    def calls(self) -> tuple[str, ...]:
+        """The referee's words, in the order of `Picture.call`."""
+        return CALLS
 
     @property
     def robots(self) -> int:

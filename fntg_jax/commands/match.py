@@ -40,6 +40,8 @@ class MatchOptions:
     """print JSON instead of a table."""
     out: Path | None = None
     """also write matches.csv, a row for each match and team, into this folder."""
+    html: Path | None = None
+    """also write the first match as one page to watch (up to 33 minutes in all)."""
 
 
 COLUMNS = ("own_goals", "possession", "shots", "saves", "passes", "touches", "falls", "penalties")
@@ -68,6 +70,10 @@ def main(argv: list[str]) -> None:
         minutes=options.minutes,
     )
     sides = matches.get_team(options.home, match, 0), matches.get_team(options.away, match, 1)
+    if options.html is not None:
+        if options.html.is_dir() or not options.html.parent.is_dir():
+            raise ValueError(f"html = {options.html}: allowed is a file in a folder that exists")
+        say(f"page {_page(options.html, match, sides, options.seed)}")
     say(f"{options.matches} matches of {match.steps} control steps")
     results = matches.play_matches(match, *sides, options.matches, options.seed)
     home, away, draws = matches.summarize(results, (options.home, options.away))
@@ -96,6 +102,26 @@ def main(argv: list[str]) -> None:
         unit = (lambda v: f"{100 * v:.1f} %") if name == "possession" else (lambda v: f"{v:.2f}")
         pair(name.replace("_", " "), [unit(s.means[name]) for s in (home, away)])
     print(f"{'draws':16s}{draws!s:>24s}")
+
+
+def _page(path: Path, match, sides, seed: int) -> Path:
+    """The first match of those that are played, as a page."""
+    import jax
+
+    from fntg_jax.files import write_atomically
+    from fntg_jax.learning import play
+    from fntg_jax.running import matches
+    from fntg_jax.showing import match_page
+
+    seeds = matches.match_seeds(1, seed)
+    home, away = sides
+    history = jax.jit(lambda s: play.record(match, home, away, s))(seeds[0])
+    shown = match_page.recording(match, jax.device_get(history), sides, match.calls)
+    try:
+        write_atomically(path, match_page.page(shown).encode())
+    except OSError as error:
+        raise ValueError(f"html = {path}: {error.strerror or error}") from None
+    return path
 
 
 def _span(interval: tuple[float, float]) -> str:

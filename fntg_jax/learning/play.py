@@ -17,6 +17,14 @@ _BLOCK = 128
 _BLOCK_ELSEWHERE = 1 << 16
 
 
+class Words(NamedTuple):
+    """Names of what `Belief` numbers: roles, behaviours, rules."""
+
+    roles: tuple[str, ...] = ()
+    behaviors: tuple[str, ...] = ()
+    rules: tuple[str, ...] = ()
+
+
 class Side(NamedTuple):
     """A team as a match needs it: a pure control program for one robot.
 
@@ -24,7 +32,7 @@ class Side(NamedTuple):
     robot, put on its kick-off place (x, y, heading in its team's frame).  control: (team, memory,
     senses) -> (memory, action), one robot, one control step.  truth: `control` takes
     `envs.base.Truth` instead of `envs.base.Senses`.  believe: (team, memory) -> `Belief`, for
-    viewers, or None.
+    viewers, or None.  words: names of what it numbers.
     """
 
     name: str
@@ -33,6 +41,7 @@ class Side(NamedTuple):
     control: Callable[[Any, Any, Any], tuple[Any, Any]]
     truth: bool = False
     believe: Callable[[Any, Any], Any] | None = None
+    words: Words = Words()
 
 
 class Belief(NamedTuple):

@@ -93,7 +93,7 @@ def play_matches(match: Any, home: play.Side, away: play.Side, num: int, seed: i
     """
     if not 1 <= num <= MOST:
         raise ValueError(f"matches = {num}: allowed are 1 to {MOST}")
-    seeds = ((seed * 1_000_003 + np.arange(num)) % 2**31).astype(np.int32)
+    seeds = match_seeds(num, seed)
     devices = jax.devices()[: -(-num // 128)]
     chunk = _CHUNK if jax.default_backend() == "cpu" else 1 << 18
     parts = []
@@ -108,6 +108,11 @@ def play_matches(match: Any, home: play.Side, away: play.Side, num: int, seed: i
         parts.append({k: np.asarray(v) for k, v in played._asdict().items()})
     statistics = {k: np.concatenate([part[k] for part in parts])[:num] for k in parts[0]}
     return Results(seeds, statistics, match.steps)
+
+
+def match_seeds(num: int, seed: int) -> np.ndarray:
+    """Seeds of `num` matches, int32."""
+    return ((seed * 1_000_003 + np.arange(num)) % 2**31).astype(np.int32)
 
 
 def _static(side: play.Side) -> play.Side:

@@ -14,6 +14,9 @@ _MOST_STEPS = 20_000  # a page of about 5 MB
 _NOWHERE = -32.0  # m: no belief
 
 
+_GOAL = "goal"
+
+
 class Call(NamedTuple):
     """A mark on the time bar: s, words, kind ("goal0", "goal1" for a goal of home or away)."""
 
@@ -28,8 +31,8 @@ class Recording(NamedTuple):
     dt: s; teams: names; robots: [T, R, 4] x, y, heading, pan of the head; on: [T, R] on the field;
     ball: [T, 2]; score: [T, 2]; calls: the referee's.  Where a team says what it thinks: beliefs
     [T, R, 5], x, y, heading and ball's x, y as it believes (NaN: none); labels [T, R, 3], indices
-    of role, behaviour and rule; roles, behaviors: names; rules: per team.  size: m, length and
-    width of a robot.
+    of role, behaviour and rule; roles, behaviors, rules: names, per team.  size: m, length
+    and width of a robot.
     """
 
     dt: float
@@ -43,9 +46,9 @@ class Recording(NamedTuple):
     size: tuple[float, float] = (0.289, 0.152)
     beliefs: np.ndarray | None = None
     labels: np.ndarray | None = None
-    roles: tuple[str, ...] = ()
-    behaviors: tuple[str, ...] = ()
-    rules: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+    roles: tuple[tuple[str, ...], ...] = ((), ())
+    behaviors: tuple[tuple[str, ...], ...] = ((), ())
+    rules: tuple[tuple[str, ...], ...] = ((), ())
 
 
 def page(match: Recording) -> str:
@@ -91,3 +94,59 @@ def _packed(values: np.ndarray) -> dict[str, str]:
 def _bytes(values: np.ndarray) -> dict[str, str]:
     whole = np.clip(values, 0, 255).astype(np.uint8)
     return {"type": "u1", "data": base64.b64encode(whole.tobytes()).decode()}
+
+
+def recording(
+    match: Any, history: Any, sides: tuple[Any, Any], calls: tuple[str, ...]
+) -> Recording:
+    """What a page shows of a `learning.play.History`.
+
+    match: with field and dt; sides: both teams' `learning.play.Side`; calls: the referee's words.
+    """
+    picture = history.picture
+    call, caller = np.asarray(picture.call), np.asarray(picture.caller)
+    num = match.players
+    marks = []
+    for n in np.flatnonzero(call):
+        word, who = calls[call[n]], int(caller[n])
+        if word == _GOAL:
+            marks.append(Call(n * match.dt, f"goal for {sides[who].name}", f"goal{who}"))
+        elif word in ("half-time", "end", "stuck ball"):
+            marks.append(Call(n * match.dt, word, "call"))
+        else:
+            name = f"{sides[who // num].name} {who % num + 1}"
+            marks.append(Call(n * match.dt, f"{word}: {name}", "call"))
+    beliefs = labels = None
+    if history.home is not None or history.away is not None:
+        shape = np.shape(picture.robots)[:2]
+        beliefs = np.full((*shape, 5), np.nan)
+        labels = np.full((*shape, 3), 255)
+        for k, belief in enumerate((history.home, history.away)):
+            if belief is None:
+                continue
+            rows = slice(k * num, (k + 1) * num)
+            beliefs[:, rows, :3], beliefs[:, rows, 3:] = belief.pose, belief.ball
+            stacked = np.stack([belief.role, belief.behavior, belief.rule], -1)
+            labels[:, rows] = np.where(stacked < 0, 255, stacked)
+            # From the team's frame into the field's: half a turn where it plays towards -x.
+            turned = (np.asarray(picture.attack) * (1 - 2 * k) < 0)[:, None]
+            for column in (0, 1, 3, 4):
+                beliefs[:, rows, column] *= np.where(turned, -1, 1)
+            heading = beliefs[:, rows, 2] + np.where(turned, np.pi, 0)
+            beliefs[:, rows, 2] = (heading + np.pi) % (2 * np.pi) - np.pi
+    words = [side.words for side in sides]
+    return Recording(
+        dt=match.dt,
+        teams=(sides[0].name, sides[1].name),
+        robots=np.concatenate([picture.robots, np.asarray(picture.head)[..., 1:2]], -1),
+        on=~np.asarray(picture.out),
+        ball=np.asarray(picture.ball),
+        score=np.asarray(picture.score),
+        calls=tuple(marks),
+        field=match.field,
+        beliefs=beliefs,
+        labels=labels,
+        roles=tuple(word.roles for word in words),
+        behaviors=tuple(word.behaviors for word in words),
+        rules=tuple(word.rules for word in words),
+    )

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 import fntg_jax
 from envs.base import Observation, Truth, Walk
 from fntg_jax.controller import network
-from fntg_jax.learning.play import Belief, Side
+from fntg_jax.learning.play import Belief, Side, Words
 from fntg_jax.robot.geometry import angle, length, unit, wrap
 from fntg_jax.teams.still import stand
 
@@ -66,7 +66,9 @@ def make(match: Any, side: int) -> Side:
             body.postures.name.index("get-up") + 1 if "get-up" in body.postures.name else 0
         ),
     )
-    return Side("chaser", team, _begin, _control, truth=True, believe=_believe)
+    return Side(
+        "chaser", team, _begin, _control, truth=True, believe=_believe, words=Words((), BEHAVIORS)
+    )
 
 
 # Named once: a function made anew at every call would be compiled anew.
