@@ -29,6 +29,8 @@ COMMANDS = {
     "localize": "where a robot was, from a log of odometry and landmarks",
     "see": "landmarks in photographs: which, in what direction, how far",
     "match": "two teams, many matches under the referee: goals, wins, statistics",
+    "say": "a robot's message as sound: a WAV file",
+    "listen": "the robots' messages in recorded sounds",
     "doctor": "versions, devices, cache and rendering, against what was tested",
 }
 
