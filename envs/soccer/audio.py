@@ -117,7 +117,7 @@ def motor_noise(key: Array, gait: Float[Array, "..."], samples: int) -> Float[Ar
     gear = jax.random.uniform(keys[1], (*gait.shape, 1), minval=180.0, maxval=400.0)
     turning = gear * (jnp.arange(samples) / RATE - 0.01 * swell)
     harmonics = np.arange(1, 11)
-    whine = sum(jnp.sin(2 * np.pi * n * turning) / n for n in harmonics)
+    whine = jnp.stack([jnp.sin(2 * np.pi * n * turning) / n for n in harmonics]).sum(0)
     whine = whine / math.sqrt((0.5 / harmonics**2).sum())
     return math.sqrt(0.5) * broad + 0.5 * blows + 0.5 * whine
 

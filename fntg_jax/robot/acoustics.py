@@ -135,7 +135,9 @@ def energies(
     around = jnp.concatenate([padded[:, :-1], padded[:, 1:]], -1)
     pieces = (around @ jnp.asarray(_RECEIVER)[team]).reshape(channels, -1, PITCHES * 2)
     windows = pieces.shape[1] - _HOPS + 1
-    total = sum(pieces[:, n : n + windows] for n in range(_HOPS))
+    total = pieces[:, :windows]
+    for n in range(1, _HOPS):
+        total = total + pieces[:, n : n + windows]
     energy = (total**2).reshape(channels, windows, PITCHES, 2).sum(-1)
     peak = energy.max(axis=(1, 2), keepdims=True) + 1e-20
     noise = jnp.exp(jnp.log(energy + 1e-6 * peak).mean(axis=(1, 2), keepdims=True))
@@ -147,7 +149,7 @@ def known_tones(energy: Float[Array, "windows 16"]) -> Float[Array, " starts"]:
     share = energy / jnp.maximum(energy.sum(-1, keepdims=True), 1e-20)
     starts = energy.shape[0] - _SPAN
     found = [share[n * _HOPS : n * _HOPS + starts, pitch] for n, pitch in zip(KNOWN_AT, KNOWN)]
-    return sum(found) / len(KNOWN)
+    return jnp.stack(found).mean(0)
 
 
 def above_echo(tones: Float[Array, "38 16"]) -> Float[Array, "38 16"]:
