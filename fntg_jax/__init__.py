@@ -102,7 +102,16 @@ def train(
     on_progress: "Callable[[Progress], None] | None" = None,
     **options: Any,
 ) -> "Controller":
-    """Learn controllers and return the best of all seeds: `learn(...).controller`."""
+    """Learn controllers and return the best of all seeds: `learn(...).controller`.
+
+    Args:
+        preset: as of `learn`.
+        out: as of `learn`.
+        on_progress: as of `learn`.
+        options: as of `learn`.
+
+    Raises ValueError naming the field, its value and what is allowed.
+    """
     return learn(preset, out, on_progress, **options).controller
 
 
@@ -142,8 +151,11 @@ def evaluate(
 
 
 def shipped(name: str) -> Path:
-    """Path of a controller that comes with the package: "bioa", trained by
-    `fntg train --preset robust --seeds 10`."""
+    """Path of a controller that comes with the package.
+
+    Args:
+        name: "bioa", trained by `fntg train --preset robust --seeds 10`.
+    """
     return Path(__file__).parent / "data" / f"{name}.json"
 
 
@@ -168,7 +180,14 @@ def load(path: str | Path) -> "Controller":
 
 
 def save(controller: "Controller", path: str | Path) -> None:
-    """Write params.json, whole or not at all.  Raises OSError when it cannot be written."""
+    """Write params.json, whole or not at all.
+
+    Args:
+        controller: what to write.
+        path: file.
+
+    Raises OSError when it cannot be written.
+    """
     from fntg_jax import export
 
     export.save(controller, path)

@@ -66,16 +66,31 @@ class _Step(NamedTuple):
 
 
 def command_of(action: Any, limits: Any) -> Command:
-    """The command, m/s and rad/s, of actions [..., 2] in [-1, 1] (clipped).  limits: of the
-    world."""
+    """The command of an action.
+
+    Args:
+        action: [..., 2] in [-1, 1] (clipped).
+        limits: of the world: v_min, v_max (m/s), omega_max (rad/s).
+
+    Returns:
+        v, m/s, and omega, rad/s, each [...].
+    """
     a = jnp.clip(action, -1, 1)
     v = limits.v_min + 0.5 * (a[..., 0] + 1) * (limits.v_max - limits.v_min)
     return Command(v, a[..., 1] * limits.omega_max)
 
 
 def action_of(v: Any, omega: Any, limits: Any) -> np.ndarray:
-    """Actions float32 [..., 2] of commands v (m/s) and omega (rad/s): the inverse of
-    `command_of`."""
+    """The action of a command: the inverse of `command_of`.
+
+    Args:
+        v: m/s.
+        omega: rad/s.
+        limits: of the world: v_min, v_max (m/s), omega_max (rad/s).
+
+    Returns:
+        float32 [..., 2].
+    """
     forward = 2 * (np.asarray(v) - limits.v_min) / (limits.v_max - limits.v_min) - 1
     return np.stack([forward, np.asarray(omega) / limits.omega_max], axis=-1).astype(np.float32)
 

@@ -15,9 +15,17 @@ from fntg_jax.controller.layout import HIGH, LOW
 
 
 def decode(bits: Any, num_bits: int = 15, gray: bool = False) -> Float[Array, "*batch genes"]:
-    """Bit strings to genes.  bits: bool or 0/1, [..., genes * num_bits], in the genome's order.
+    """Bit strings to genes.
 
-    gray: the bits are reflected Gray code instead of plain binary.
+    Args:
+        bits: bool or 0/1, [..., genes * num_bits], in the genome's order, most significant first.
+        num_bits: bits a gene.
+        gray: the bits are reflected Gray code instead of plain binary.
+
+    Returns:
+        theta, float32 [..., genes], in [-5, 5].
+
+    Raises ValueError where the length is no multiple of num_bits.
     """
     b = _split(jnp.asarray(bits), num_bits).astype(jnp.uint32)
     if gray:
@@ -27,7 +35,15 @@ def decode(bits: Any, num_bits: int = 15, gray: bool = False) -> Float[Array, "*
 
 
 def encode(theta: Any, num_bits: int = 15, gray: bool = False) -> Bool[Array, "*batch length"]:
-    """Genes [..., genes] to bit strings, rounded to the nearest representable value.
+    """Genes to bit strings, rounded to the nearest representable value.
+
+    Args:
+        theta: [..., genes], in [-5, 5].
+        num_bits: bits a gene.
+        gray: reflected Gray code instead of plain binary.
+
+    Returns:
+        bool [..., genes * num_bits].
 
     Raises ValueError naming the first gene outside [-5, 5] or not a number.  Inside `jit`
     nothing can be raised: there, genes are clipped and NaN becomes the lower bound.

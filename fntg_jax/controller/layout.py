@@ -69,14 +69,17 @@ class Layout(NamedTuple):
 
     @property
     def num_genes(self) -> int:
+        """How many parameters are free."""
         return len(self.genes)
 
     @property
     def low(self) -> np.ndarray:
+        """[genes]: lower bounds."""
         return np.asarray([g.low for g in self.genes], np.float32)
 
     @property
     def high(self) -> np.ndarray:
+        """[genes]: upper bounds."""
         return np.asarray([g.high for g in self.genes], np.float32)
 
     @property
@@ -86,10 +89,16 @@ class Layout(NamedTuple):
 
 
 def expand(layout: Layout, theta: Float[Array, "*batch genes"]) -> Params:
-    """Fill the full parameter set from the free genes.
+    """Fill the full parameter set from the free genes: one gather.
 
-    theta: [..., num_genes]; the result's leaves carry the same leading axes.  Raises
-    ValueError when the last axis does not fit the layout.
+    Args:
+        layout: gene table.
+        theta: [..., genes].
+
+    Returns:
+        `Params` whose leaves carry the same leading axes.
+
+    Raises ValueError when the last axis does not fit the layout.
     """
     if theta.shape[-1] != layout.num_genes:
         raise ValueError(
@@ -111,6 +120,10 @@ def expand_scalars(layout: Layout, theta: Float[Array, " genes"]) -> Params:
     For loops under `vmap`: every scalar becomes one contiguous vector over the batch (slices
     of a [batch, 2, 2, 2, 3] table would be strided, several times slower on CPU), and what
     shared genes have in common is computed once.
+
+    Args:
+        layout: gene table.
+        theta: [genes].
     """
     genes = [theta[n] for n in range(layout.num_genes)]
     values = {(n, 1): gene for n, gene in enumerate(genes)}

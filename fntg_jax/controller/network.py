@@ -26,6 +26,11 @@ def sigmoid(x: Scalar, a: Scalar, c: Scalar) -> Scalar:
 
     Paper: C_k is printed with d_O inside; it must be theta_B, else the controller never sees
     in which direction the ball lies.
+
+    Args:
+        x: d_B, d_O (m) or theta_B (rad).
+        a: slope, 1/m or 1/rad.
+        c: centre, m or rad.
     """
     return 1 / (1 + _exp_minus(x, a, c))
 
@@ -34,7 +39,12 @@ def sigmoid_share(x: Scalar, a: Any, c: Any) -> Scalar:
     """mu_1 / (mu_1 + mu_2) of a family of two sigmoids, in (0, 1); the other share is 1 - it.
 
     Written as (1 + e_2) / (2 + e_1 + e_2) with e = exp(-a (x - c)): one division, and no sum
-    of two underflown memberships can give 0/0.  a, c: [2].
+    of two underflown memberships can give 0/0.
+
+    Args:
+        x: d_B, d_O (m) or theta_B (rad).
+        a: [2], slopes, 1/m or 1/rad.
+        c: [2], centres, m or rad.
     """
     e1, e2 = _exp_minus(x, a[0], c[0]), _exp_minus(x, a[1], c[1])
     return (1 + e2) / (2 + e1 + e2)
@@ -45,11 +55,14 @@ def _exp_minus(x, a, c):
 
 
 def obstacle_side(theta: Scalar, sigma: Any) -> tuple[Scalar, Scalar, Scalar]:
-    """mu_D of "left", "right" and "not influencing" for the obstacle's angle theta (rad).
+    """mu_D of "left", "right" and "not influencing" for the obstacle's angle.
 
     D_1 = exp(-theta^2 / 2 sigma_1^2) for theta > 0, else 0; D_2 the same with sigma_2 for
-    theta <= 0; D_3 = 1 - exp(-theta^2 / 2 sigma_3^2).  sigma: [3], sign irrelevant, below
-    1e-5 rad taken as 1e-5 rad.  With one sigma the three sum to 1.
+    theta <= 0; D_3 = 1 - exp(-theta^2 / 2 sigma_3^2).  With one sigma the three sum to 1.
+
+    Args:
+        theta: theta_O, rad, > 0 on the left.
+        sigma: [3], rad, sign irrelevant, below 1e-5 rad taken as 1e-5 rad.
     """
     g1 = _bell(theta, sigma[0])
     g2 = g1 if sigma[1] is sigma[0] else _bell(theta, sigma[1])
@@ -68,6 +81,10 @@ def obstacle_side_shares(theta: Scalar, sigma: Any) -> tuple[Scalar, Scalar, Sca
 
     With three sigmas all memberships can vanish at once (sigma_1 << |theta| << sigma_3); the
     shares are then (0, 0, 1), "not influencing".
+
+    Args:
+        theta: theta_O, rad, > 0 on the left.
+        sigma: [3], rad.
     """
     d1, d2, d3 = obstacle_side(theta, sigma)
     if sigma[0] is sigma[1] is sigma[2]:
@@ -82,8 +99,15 @@ def obstacle_side_shares(theta: Scalar, sigma: Any) -> tuple[Scalar, Scalar, Sca
 def firing_strengths(params: Params, observation: Any) -> Float[Array, "2 2 2 3"]:
     """mu_ijkl = mu_Ai(d_B) mu_Bj(d_O) mu_Ck(theta_B) mu_Dl(theta_O), each family normalised.
 
-    They sum to 1.  In the 16-rule layouts the three l of j = 2 ("far") belong to one rule:
-    sum them for its strength.
+    In the 16-rule layouts the three l of j = 2 ("far") belong to one rule: sum them for its
+    strength.
+
+    Args:
+        params: full parameter set, leaves as in `layout.SHAPES`.
+        observation: d_B, d_O (m), theta_B, theta_O (rad), scalars.
+
+    Returns:
+        [2, 2, 2, 3], indexed i, j, k, l; they sum to 1.
     """
     o = observation
     a = sigmoid_share(o.d_ball, params.a_A, params.c_A)
@@ -95,10 +119,17 @@ def firing_strengths(params: Params, observation: Any) -> Float[Array, "2 2 2 3"
 
 
 def weighted_averages(params: Params, observation: Any) -> tuple[Scalar, Scalar]:
-    """sum(mu f) / sum(mu) over the rules, for V and for Omega: in gene units, [-5, 5].
+    """sum(mu f) / sum(mu) over the rules, for V and for Omega.
 
     The rule base is a product grid, so the average factorises: each family is divided by its
     own sum (D inside "near") and the tables are contracted one family after the other.
+
+    Args:
+        params: full parameter set: arrays, or nested tuples of scalars (`layout.expand_scalars`).
+        observation: d_B, d_O (m), theta_B, theta_O (rad), scalars.
+
+    Returns:
+        Two averages in gene units, within [-5, 5].
     """
     o = observation
     a = sigmoid_share(o.d_ball, params.a_A, params.c_A)
@@ -133,7 +164,18 @@ def command(
 
     output="scale": v = v_max / 5 (average + b_21) and omega = omega_max / 5 (average + b_22);
     output="clip": the averages are m/s and rad/s as they are.  Both are then clipped to
-    [v_min, v_max] and [-omega_max, omega_max].  limits: anything with those fields.
+    [v_min, v_max] and [-omega_max, omega_max].
+
+    Args:
+        params: full parameter set: arrays, or nested tuples of scalars (`layout.expand_scalars`).
+        observation: d_B, d_O (m), theta_B, theta_O (rad), scalars.
+        limits: anything with v_min, v_max (m/s) and omega_max (rad/s).
+        output: "scale" or "clip".
+
+    Returns:
+        v, m/s, and omega, rad/s.
+
+    Raises ValueError on an unknown output.
     """
     v, omega = weighted_averages(params, observation)
     gain_v, gain_omega = output_gains(limits, output)
@@ -144,7 +186,17 @@ def command(
 
 
 def output_gains(limits: Any, output: Output) -> tuple[Scalar, Scalar]:
-    """Speed per gene unit: m/s and rad/s.  Raises ValueError on an unknown output reading."""
+    """Speed per gene unit.
+
+    Args:
+        limits: anything with v_max (m/s) and omega_max (rad/s).
+        output: "scale" or "clip".
+
+    Returns:
+        m/s and rad/s.
+
+    Raises ValueError on an unknown output.
+    """
     if output == "scale":
         return limits.v_max / HIGH, limits.omega_max / HIGH
     if output == "clip":

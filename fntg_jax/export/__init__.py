@@ -24,8 +24,13 @@ _MAX_BYTES = 1_000_000  # a real file has 8 kB
 
 
 def load(path: str | Path) -> Controller:
-    """Read a controller: params.json, or the .fll that we exported.  Raises ValueError (one
-    line) when it cannot be read or is not valid."""
+    """Read a controller.
+
+    Args:
+        path: params.json, or a .fll that we exported.
+
+    Raises ValueError (one line) when it cannot be read or is not valid.
+    """
     try:
         with open(path, "rb") as file:
             data = file.read(_MAX_BYTES + 1)

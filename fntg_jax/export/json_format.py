@@ -24,7 +24,11 @@ def schema() -> dict:
 
 
 def to_dict(controller: Controller) -> dict[str, Any]:
-    """The document as plain lists, strings and floats."""
+    """The document as plain lists, strings and floats, as params.schema.json describes it.
+
+    Args:
+        controller: any, of one theta.
+    """
     p = controller.params
     tables = {name: np.asarray(value).tolist() for name, value in p._asdict().items()}
     document: dict[str, Any] = {
@@ -68,17 +72,28 @@ def _unit(unit: str, output: str) -> str:
 
 
 def dumps(controller: Controller) -> str:
-    """The document as text."""
+    """The document of a controller as text.  Raises ValueError where its provenance holds NaN or
+    infinity, which JSON does not know."""
     return json.dumps(to_dict(controller), indent=1, allow_nan=False) + "\n"
 
 
 def save(controller: Controller, path: str | Path) -> None:
-    """Write atomically.  Raises OSError when the path cannot be written."""
+    """Write a controller's document to a file, whole or not at all.
+
+    Raises ValueError as `dumps`, and OSError when the path cannot be written.
+    """
     write_atomically(path, dumps(controller).encode())
 
 
 def loads(text: str, source: str = "params.json") -> Controller:
-    """Read a document.  Raises ValueError with one line: source, field, value, what is allowed."""
+    """Read a document.
+
+    Args:
+        text: JSON.
+        source: what error messages call it.
+
+    Raises ValueError with one line: source, field, value, what is allowed.
+    """
     return from_dict(parse_json(text, source), source)
 
 

@@ -44,13 +44,19 @@ class PaperWeights:
 def paper_fitness(outcome: Outcome, weights: PaperWeights = PaperWeights()) -> Float[Array, " P"]:
     """F = 10 / (gamma + (6 d)^2 + d_1 + d_2 + 2 v_fit + 0.5 omega_fit + delta + 60 phi).
 
-    outcome: leaves [..., T, 3] and [..., T]; the result is [...].  d, d_1, d_2: mean distance
-    to the ball after steps 200, 170, 220; v_fit, omega_fit: mean |v|, |omega| there;
-    delta = (20 (0.145 - min(h, 0.145)))^2 and phi (1 unless v ever exceeded v_moved) per
-    trial, then averaged.  A fall counts as standing still (phi = 1) on top.
+    d, d_1, d_2: mean distance to the ball after steps 200, 170, 220; v_fit, omega_fit: mean |v|,
+    |omega| there; delta = (20 (0.145 - min(h, 0.145)))^2 and phi (1 unless v ever exceeded
+    v_moved) per trial, then averaged.  A fall counts as standing still (phi = 1) on top.
 
     Paper: v is printed without bars.  With backward motion allowed that lets the denominator
     reach zero; with v_min = 0 both readings agree.
+
+    Args:
+        outcome: of T trials a genome, leaves [..., T, 3] and [..., T].
+        weights: coefficients.
+
+    Returns:
+        Fitness [...], maximised.
     """
     w = weights
     d1, d, d2 = jnp.moveaxis(jnp.mean(outcome.distance, axis=-2), -1, 0)
@@ -78,7 +84,14 @@ class Success(NamedTuple):
 
 def success(outcome: Outcome) -> Success:
     """reach: d < 0.10 m after step 200; safe: d_O never under 0.145 m and no fall; stop: |v|
-    below 0.03 m/s, averaged over steps 170, 200, 220.  A NaN anywhere is no success."""
+    below 0.03 m/s, averaged over steps 170, 200, 220.  A NaN anywhere is no success.
+
+    Args:
+        outcome: of trials, leaves [..., 3] and [...].
+
+    Returns:
+        Each part, bool [...]; `success` is all of them.
+    """
     return Success(
         reach=outcome.distance[..., 1] < REACH,
         safe=(outcome.clearance >= CLEARANCE) & ~outcome.failed,
@@ -130,6 +143,13 @@ def smooth_cost(outcome: Outcome, weights: SmoothWeights = SmoothWeights()) -> F
     nothing: selection then looks at the scenes that fail.  The gate is what makes it work:
     where stopping always counts, standing still is a local optimum that populations do not
     leave.
+
+    Args:
+        outcome: of trials, leaves [..., 3] and [...].
+        weights: scales, thresholds and weights.
+
+    Returns:
+        Cost [...].
     """
     w = weights
 
@@ -148,5 +168,13 @@ def smooth_cost(outcome: Outcome, weights: SmoothWeights = SmoothWeights()) -> F
 def smooth_fitness(
     outcome: Outcome, weights: SmoothWeights = SmoothWeights()
 ) -> Float[Array, " P"]:
-    """10 / (0.1 + mean `smooth_cost` over the trials): of the paper's form, at most 100."""
+    """10 / (0.1 + mean `smooth_cost` over the trials): of the paper's form, at most 100.
+
+    Args:
+        outcome: of T trials a genome, leaves [..., T, 3] and [..., T].
+        weights: of `smooth_cost`.
+
+    Returns:
+        Fitness [...], maximised.
+    """
     return 10 / (0.1 + jnp.mean(smooth_cost(outcome, weights), axis=-1))

@@ -101,7 +101,17 @@ def validate(config: GAConfig) -> None:
 
 
 def select_roulette(key, fitness, num, config):
-    """Probability proportional to fitness; uniform where all fitness is zero."""
+    """Probability proportional to fitness; uniform where all fitness is zero.
+
+    Args:
+        key: random key.
+        fitness: [P], >= 0.
+        num: how many parents.
+        config: not used here.
+
+    Returns:
+        Indices of the parents, [num].
+    """
     del config
     wheel = _wheel(fitness)
     return _spin(wheel, jax.random.uniform(key, (num,)))
@@ -110,7 +120,8 @@ def select_roulette(key, fitness, num, config):
 def select_sus(key, fitness, num, config):
     """Baker's stochastic universal sampling: one spin, `num` equally spaced pointers.
 
-    The parents are shuffled, since the pointers meet them in order and neighbours mate.
+    The parents are shuffled, since the pointers meet them in order and neighbours mate.  Arguments
+    and result as of `select_roulette`.
     """
     del config
     k_spin, k_shuffle = jax.random.split(key)
@@ -119,7 +130,10 @@ def select_sus(key, fitness, num, config):
 
 
 def select_rank(key, fitness, num, config):
-    """Linear ranking: the best expects rank_pressure copies, the worst 2 - rank_pressure."""
+    """Linear ranking: the best expects rank_pressure copies, the worst 2 - rank_pressure.
+
+    Arguments and result as of `select_roulette`.
+    """
     size = fitness.shape[0]
     rank = jnp.argsort(jnp.argsort(fitness))  # 0 is the worst
     low = 2 - config.rank_pressure
@@ -128,14 +142,20 @@ def select_rank(key, fitness, num, config):
 
 
 def select_tournament(key, fitness, num, config):
-    """The best of tournament_size genomes drawn with replacement."""
+    """The best of tournament_size genomes drawn with replacement.
+
+    Arguments and result as of `select_roulette`.
+    """
     rivals = jax.random.randint(key, (num, config.tournament_size), 0, fitness.shape[0])
     winner = jnp.argmax(fitness[rivals], axis=1)
     return jnp.take_along_axis(rivals, winner[:, None], axis=1)[:, 0]
 
 
 def select_truncation(key, fitness, num, config):
-    """Uniform among the best truncation_share of the population (at least one genome)."""
+    """Uniform among the best truncation_share of the population (at least one genome).
+
+    Arguments and result as of `select_roulette`.
+    """
     size = fitness.shape[0]
     breeders = jnp.maximum(jnp.round(config.truncation_share * size), 1)
     pick = jnp.floor(jax.random.uniform(key, (num,)) * breeders).astype(int)
@@ -169,9 +189,17 @@ def _spin(wheel, u):
 def crossover(
     key: Key[Array, ""], a: Bool[Array, " L"], b: Bool[Array, " L"], num_points: int, rate: float
 ) -> tuple[Bool[Array, " L"], Bool[Array, " L"]]:
-    """Exchange every second piece between num_points distinct random cuts; two children.
+    """Exchange every second piece between num_points distinct random cuts.
 
-    With probability 1 - rate the children are the parents.
+    Args:
+        key: random key.
+        a: genome of a parent, bool [L].
+        b: genome of the other.
+        num_points: number of cuts.
+        rate: probability that it happens; else the children are the parents.
+
+    Returns:
+        Two children, bool [L] each.
     """
     k_cuts, k_rate = jax.random.split(key)
     cuts = crossover_cuts(k_cuts, num_points, a.shape[0])
@@ -181,7 +209,13 @@ def crossover(
 
 
 def crossover_cuts(key: Key[Array, ""], num_points: int, length: int) -> Int[Array, " points"]:
-    """Sorted distinct cut positions, uniform over 1 .. length - 1."""
+    """Sorted distinct cut positions, uniform over 1 .. length - 1.
+
+    Args:
+        key: random key.
+        num_points: how many.
+        length: of the genome, bits.
+    """
     keys = jax.random.split(key, max(num_points, 1))
     cuts = jnp.zeros((0,), int)
     for n in range(num_points):
@@ -194,7 +228,13 @@ def crossover_cuts(key: Key[Array, ""], num_points: int, length: int) -> Int[Arr
 
 
 def mutate(key: Key[Array, ""], bits: Bool[Array, "..."], rate: float) -> Bool[Array, "..."]:
-    """Flip every bit independently with probability `rate`."""
+    """Flip every bit independently.
+
+    Args:
+        key: random key.
+        bits: bool, of any shape.
+        rate: probability of a flip.
+    """
     return bits ^ (jax.random.uniform(key, bits.shape) < rate)
 
 
@@ -223,7 +263,14 @@ def init(
     config: GAConfig,
     ranges: Float[Array, "genes 2"] | None = None,
 ) -> State:
-    """A uniformly random population, over all genomes or with genes between `ranges`."""
+    """A uniformly random population.
+
+    Args:
+        key: random key: also of all that follows from this state.
+        num_genes: genes of a genome.
+        config: genetic algorithm.
+        ranges: [genes, 2], least and largest value of each gene to start from; None for all genomes.
+    """
     k_bits, k_run = jax.random.split(key)
     length = num_genes * config.num_bits
     if ranges is None:
@@ -249,7 +296,18 @@ def reproduce(
     progress: float | Array = 0.0,
 ) -> Bool[Array, "P L"]:
     """The next population: select, cross neighbours, mutate, put the elite in front; every island
-    by itself."""
+    by itself.
+
+    Args:
+        key: random key.
+        bits: genomes, bool [P, L].
+        fitness: [P], finite, >= 0.
+        config: genetic algorithm.
+        progress: share of the run that is over, 0 to 1, for the decay of the mutation rate.
+
+    Returns:
+        Genomes, bool [P, L].
+    """
     rate = config.mutation_rate * config.mutation_decay**progress
     if config.num_islands == 1:
         return _breed(key, bits, fitness, config, rate)
@@ -277,6 +335,14 @@ def generation(state: State, fitness_fn: FitnessFn, config: GAConfig) -> tuple[S
     """Evaluate the population, record it, breed the next.
 
     Non-finite fitness counts as 0, is never best, and is counted.
+
+    Args:
+        state: of the run.
+        fitness_fn: (key, theta [P, genes]) -> fitness [P], maximised.
+        config: genetic algorithm.
+
+    Returns:
+        The state one generation later, and the record of this one.
     """
     k_fitness, k_reproduce = jax.random.split(jax.random.fold_in(state.key, state.generation))
     theta = genome.decode(state.bits, config.num_bits, config.gray)
@@ -305,7 +371,17 @@ def generation(state: State, fitness_fn: FitnessFn, config: GAConfig) -> tuple[S
 def evolve(
     state: State, num_generations: int, fitness_fn: FitnessFn, config: GAConfig
 ) -> tuple[State, Record]:
-    """`generation` num_generations times under one scan; records gain a leading axis."""
+    """`generation` num_generations times under one scan.
+
+    Args:
+        state: of the run.
+        num_generations: how many.
+        fitness_fn: (key, theta [P, genes]) -> fitness [P], maximised.
+        config: genetic algorithm.
+
+    Returns:
+        The state after them, and records with a leading axis [num_generations].
+    """
     return jax.lax.scan(
         lambda s, _: generation(s, fitness_fn, config), state, None, length=num_generations
     )

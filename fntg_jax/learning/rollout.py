@@ -47,9 +47,19 @@ def rollout(
 ) -> Outcome:
     """Drive one controller through one scene.
 
-    params: best from `layout.expand_scalars`, which vectorises.  Velocities are those
-    commanded.  checkpoint: recompute each control step in the backward
-    pass, so that reverse mode stores one state a step and nothing else.
+    Args:
+        params: full parameter set, best from `layout.expand_scalars`, which vectorises.
+        scene: one scene (`envs.base.Scene`), without a leading axis.
+        env: anything with the methods of `envs.base.Environment`.
+        output: how genes are read, see `network.command`.
+        sample_steps: control steps after which distance and velocities are taken; the last one
+            ends the trial.
+        unroll: control steps of one iteration of the compiled loop.
+        checkpoint: recompute each control step in the backward pass, so that reverse mode stores
+            one state a step and nothing else.
+
+    Returns:
+        What the trial is judged by.  Velocities are those commanded.
     """
     state = env.reset(scene)
 
@@ -100,12 +110,24 @@ def rollout_pairs(
     axis: str | None = None,
     **options: Any,
 ) -> Outcome:
-    """Every controller through every scene: theta [P, genes] and T scenes give outcomes [P, T].
+    """Every controller through every scene.
 
     The pairs are laid out as one flat batch, because the inner loops then run over contiguous
     trials instead of P times over T.  A large batch goes block by block (`num_blocks`).
-    axis: inside `jax.shard_map`, the devices along this axis share the blocks, and all get all
-    outcomes.  options: those of `rollout`.
+
+    Args:
+        layout: gene table (static under `jax.jit`).
+        theta: [P, genes].
+        scenes: T scenes: `envs.base.Scene`, leaves with a leading axis.
+        env: anything with the methods of `envs.base.Environment`.
+        axis: inside `jax.shard_map`, the devices along this axis share the blocks, and all get all
+            outcomes.
+        options: further arguments of `rollout`.
+
+    Returns:
+        Outcomes, leaves [P, T, ...].
+
+    Raises ValueError where theta does not fit the layout.
     """
     num_scenes = jax.tree.leaves(scenes)[0].shape[0]
     num = theta.shape[0] * num_scenes
@@ -132,8 +154,8 @@ _LANES = 16  # of a vector register
 
 
 def num_blocks(num_trials: int) -> int:
-    """Into how many blocks a batch is cut, on a CPU so that the state of a block stays in the
-    cache.  Whatever the number of devices, so that it changes no bit of a result."""
+    """Into how many blocks a batch of num_trials trials is cut, on a CPU so that the state of a
+    block stays in the cache.  Whatever the number of devices: it changes no bit of a result."""
     size = _BLOCK if jax.default_backend() == "cpu" else _BLOCK_ELSEWHERE
     return max(round(num_trials / size), 1)
 
@@ -183,7 +205,18 @@ def trajectory(
     output: network.Output = "scale",
     num_steps: int = SAMPLE_STEPS[-1],
 ) -> Trajectory:
-    """Record one trial, for pictures and replay."""
+    """Record one trial, for pictures and replay.
+
+    Args:
+        params: full parameter set.
+        scene: one scene, without a leading axis.
+        env: anything with the methods of `envs.base.Environment`.
+        output: how genes are read, see `network.command`.
+        num_steps: control steps N.
+
+    Returns:
+        N + 1 states and the N commands between them.
+    """
 
     def look(state):
         return env.snapshot(state), env.observe(state), env.measure(state)
@@ -199,7 +232,13 @@ def trajectory(
 
 
 def outcome_of(measured: Any, command: Any, failed: Any) -> Outcome:
-    """What a recorded trial is judged by: measured [N + 1], command [N], failed at the end."""
+    """What a recorded trial is judged by.
+
+    Args:
+        measured: true observations, leaves [N + 1].
+        command: v, m/s, and omega, rad/s, leaves [N].
+        failed: whether the robot had fallen at the end.
+    """
     after = np.asarray(SAMPLE_STEPS)
     return Outcome(
         distance=measured.d_ball[after],

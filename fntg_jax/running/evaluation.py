@@ -43,7 +43,13 @@ class Evaluation(NamedTuple):
 
 
 def wilson(successes: int, trials: int, z: float = 1.959964) -> Rate:
-    """Wilson score interval of a binomial share (E. B. Wilson, JASA 22, 1927)."""
+    """Wilson score interval of a binomial share (E. B. Wilson, JASA 22, 1927).
+
+    Args:
+        successes: how many of the trials.
+        trials: at least 1.
+        z: quantile of the normal distribution; the default is that of 95 %.
+    """
     p = successes / trials
     centre = p + z * z / (2 * trials)
     half = z * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
