@@ -269,7 +269,7 @@ def init(
         key: random key: also of all that follows from this state.
         num_genes: genes of a genome.
         config: genetic algorithm.
-        ranges: [genes, 2], least and largest value of each gene to start from; None for all genomes.
+        ranges: [genes, 2], least and largest value that a gene starts from; None for any genome.
     """
     k_bits, k_run = jax.random.split(key)
     length = num_genes * config.num_bits
