@@ -35,7 +35,9 @@ OBSTACLE_RADIUS = (0.08, 0.145)  # m: half of the ERS-210's width .. half of its
 BLOCKED_OFFSET = 0.145  # m, how far a blocking obstacle's centre may be off the straight line
 BLOCKED_LENGTH = 1.0  # m, least distance from start to ball with an obstacle between
 BALL_SPEED = (0.05, 0.30)  # m/s
-BALL_DECELERATION = 0.05  # m/s^2
+# m/s^2 of a rolling ball, constant until it stops (`field.roll_ball`; MuJoCo's ball obeys it, too:
+# envs.quadruped.native).  Assumed: a hard plastic ball on short carpet, 0.005 of its weight.
+BALL_DECELERATION = 0.05
 OBSTACLE_SPEED = (0.02, 0.10)  # m/s
 
 # Margins that a suite takes as options: name -> least and largest value, m.

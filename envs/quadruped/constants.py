@@ -1,7 +1,8 @@
 """The Sony ERS-210 in numbers: lengths in m, angles in rad, masses in kg.
 
-Lengths, joint limits and joint speeds are Sony's model information.  Masses are assumed
-(only the total of about 1.4 kg is known) and so is everything about the servos.
+Lengths and joint limits are Sony's model information, joint speeds and PID gains Sony's as
+Tekkotsu's ERS210Info.h lists them.  Masses are assumed (only the total of about 1.4 kg is known)
+and so are the servos' units, torque and friction.
 """
 
 import math
@@ -19,6 +20,7 @@ UPPER_LEG = 0.064
 KNEE_OFFSET = 0.0128  # of the knee axis, towards the side the knee points to
 LOWER_LEG = (0.0649, 0.0649, 0.0749, 0.0749)  # knee axis to sole
 FOOT_RADIUS = 0.010
+ELBOW_RADIUS = 0.014  # of elbow or knee, where a low dog's forearm meets the carpet
 NECK = (0.048, 0.050)  # tilt axis to pan axis, pan axis to the head's centre
 NECK_BASE = (0.070, 0.0, 0.025)
 TAIL_BASE = (-0.095, 0.0, 0.035)
@@ -31,16 +33,32 @@ TAIL_LIMIT = 22  # degrees, both joints
 LEG_SPEED = (2.81, 2.50, 2.84)  # rad/s, J1, J2, J3
 HEAD_SPEED = (2.11, 3.01, 3.01)
 
-# Assumed.  Trunk with battery, head, and per leg: shoulder, upper leg, lower leg.
-MASS_TRUNK, MASS_NECK, MASS_HEAD, MASS_TAIL = 0.760, 0.030, 0.180, 0.010
-MASS_SHOULDER, MASS_UPPER, MASS_LOWER = 0.020, 0.055, 0.030
+# Assumed.  Trunk with battery, head, and per leg: shoulder, upper leg, lower leg.  Twelve of the
+# eighteen motors sit in the legs: these have 45 % of the mass, as in models of the robot's
+# successor that were calibrated on a real one.
+MASS_TRUNK, MASS_NECK, MASS_HEAD, MASS_TAIL = 0.550, 0.030, 0.180, 0.010
+MASS_SHOULDER, MASS_UPPER, MASS_LOWER = 0.0325, 0.0800, 0.0450
 MASS = (
     MASS_TRUNK + MASS_NECK + MASS_HEAD + MASS_TAIL + 4 * (MASS_SHOULDER + MASS_UPPER + MASS_LOWER)
 )  # 1.40
 
-# Assumed.  A position servo: gain in N m/rad, damping in N m s/rad, rotor inertia in kg m^2.
-SERVO_GAIN, SERVO_DAMPING, SERVO_ARMATURE = 8.4, 0.137, 0.002
-LIGHT_GAIN, LIGHT_DAMPING, LIGHT_ARMATURE = 2.0, 0.08, 0.001  # head and tail
+# Sony's PID gains in its own units, as the robot's registers take them: P, I, D of a leg's J1, J2,
+# J3 (shifts 0x0E, 0x02, 0x0F) [Tekkotsu, ERS210Info.h, DefaultPIDs].
+SONY_PID = ((22, 4, 8), (20, 4, 6), (35, 4, 5))
+# Assumed: the unit of P, so that J1 has 8.4 N m/rad.  The ratios between the joints are Sony's.
+SERVO_P = tuple(8.4 * p / SONY_PID[0][0] for p, _, _ in SONY_PID)  # N m/rad: 8.4, 7.6, 13.4
+# The shifts make Sony's I 4 / 2^14 against a P of 22 / 2^2 for each frame of 8 ms: an error that
+# lasts for a step of 0.5 s (62 frames) adds 0.3 % of what P gives.  So I = 0.
+SERVO_I = (0.0, 0.0, 0.0)
+# Assumed, N m s/rad.  Sony's D (8 / 2 against 22 / 2^2 a frame) would be 0.049 for J1; a gear's
+# viscous friction is added to that.
+SERVO_D = (0.137, 0.137, 0.137)
+# Assumed.  Stall torque of the ERS-210: not found.  The Webots model of its successor has 5.45 N m.
+SERVO_TORQUE = 1.5  # N m, most that P and D together may ask for
+SERVO_FRICTION = 0.03  # N m, dry friction of the gears; assumed
+SERVO_ARMATURE = 0.002  # kg m^2, the rotor's inertia behind its gear; assumed
+# Head and tail, assumed.
+LIGHT_GAIN, LIGHT_DAMPING, LIGHT_ARMATURE, LIGHT_TORQUE = 2.0, 0.08, 0.001, 0.6
 
 BALL_MASS = 0.060  # assumed
 FRICTION = 1.0  # rubber soles on carpet, assumed

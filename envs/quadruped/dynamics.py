@@ -3,13 +3,14 @@
 The equations are MuJoCo's (rigid-body dynamics, soft pyramidal contacts, one Newton iteration
 with an exact line search, explicit Euler), so that its result is that of MJX up to rounding
 (tests/test_truth.py).  What is used here and cannot be known by a general engine: a trunk with
-four legs of three hinges whose parts are bodies of revolution, and one possible contact a leg.
+four legs of three hinges whose parts are bodies of revolution, and two possible contacts a leg.
+Dry friction and limits of joints are rows of one entry: they only add to diagonals.
 Then mass matrix and Hessian are arrows, and everything is arithmetic on scalars, with the four
 legs side by side, which XLA turns into straight vector code under `vmap`.
 
 Vectors are tuples of three components in the trunk's axes; a component has shape [], or [4]
-where there is one a leg.  Unknowns: acceleration of the trunk's origin, angular
-acceleration, joint accelerations.
+where there is one a leg, or [8] where there is one a contact (feet, then elbows).  Unknowns:
+acceleration of the trunk's origin, angular acceleration, joint accelerations.
 """
 
 from typing import NamedTuple
@@ -35,14 +36,39 @@ from envs.quadruped.rigid_body import Body, Constants, inertia_and_bias, pose
 
 
 class Contact(NamedTuple):
-    """The four possible foot contacts, everything [4]: point, Jacobian columns of the
-    joints there, whether the foot touches, row stiffness D and wanted row accelerations."""
+    """The eight possible contacts, everything [8]: point, Jacobian columns of the joints there,
+    whether it touches, row stiffness D and wanted row accelerations."""
 
     point: tuple
     columns: tuple
     touching: jax.Array
     stiffness: jax.Array
     wanted: tuple
+
+
+class Joints(NamedTuple):
+    """Rows of the joints themselves, lists of three of [4].  Dry friction: stiffness D and wanted
+    acceleration; limits: direction that leads back inside, D (0 inside) and wanted acceleration."""
+
+    friction: list
+    stop: list
+    inward: list
+    limit: list
+    back: list
+
+
+def _twice(x):
+    """[4] of the legs to [8] of the contacts."""
+    return x if isinstance(x, float) else jnp.concatenate([x, x])
+
+
+def _by_leg(x):
+    """The sum of a leg's two contacts: [8] to [4]."""
+    return x[:4] + x[4:]
+
+
+def _sum(x):
+    return over_legs(_by_leg(x))
 
 
 def _edges(world, friction, v):
@@ -63,31 +89,69 @@ def _at(contact: Contact, base, joints):
     return add(
         tuple(base[:3]),
         cross(tuple(base[3:]), contact.point),
-        *(scale(u, g) for u, g in zip(joints, contact.columns)),
+        *(scale(_twice(u), g) for u, g in zip(joints, contact.columns)),
     )
 
 
-def _contact(k: Constants, body: Body, height, world, base_speed, joint_speed, lane) -> Contact:
-    """Feet against the floor.  Source: MuJoCo's documentation, Computation."""
-    gap = height + dot(world[2], body.foot) - c.FOOT_RADIUS
-    # MuJoCo puts the contact half way between the two surfaces.
-    point = sub(body.foot, scale(c.FOOT_RADIUS + 0.5 * gap, world[2]))
-    origins = (body.shoulder, body.shoulder, body.knee)
-    columns = tuple(cross(a, sub(point, o)) for a, o in zip(body.axes, origins))
+def _impedance(k: Constants, gap):
+    """MuJoCo's impedance d of a row that is violated by |gap|."""
     d_min, d_max, width = k.impedance
     x = jnp.minimum(jnp.abs(gap) / width, 1.0)
     ramp = jnp.where(x < 0.5, 2 * x * x, 1 - 2 * (1 - x) * (1 - x))
-    impedance = d_min + ramp * (d_max - d_min)
-    stiffness = impedance / ((1 - impedance) * lane(k.weight))
-    spring = 1 / (d_max * k.time_constant * k.damp_ratio) ** 2
-    damper = 2 / (d_max * k.time_constant)
+    return d_min + ramp * (d_max - d_min)
+
+
+def _reference(k: Constants):
+    """Spring and damper of the wanted accelerations: a = -damper v - spring d gap."""
+    d_max = k.impedance[1]
+    return 1 / (d_max * k.time_constant * k.damp_ratio) ** 2, 2 / (d_max * k.time_constant)
+
+
+def _contact(k: Constants, body: Body, height, world, base_speed, joint_speed, lane) -> Contact:
+    """Feet and elbows against the floor.  Source: MuJoCo's documentation, Computation."""
+    centre = tuple(jnp.concatenate([a, b]) for a, b in zip(body.foot, body.knee))
+    radius = lane([c.FOOT_RADIUS] * 4 + [c.ELBOW_RADIUS] * 4)
+    gap = height + dot(world[2], centre) - radius
+    # MuJoCo puts the contact half way between the two surfaces.
+    point = sub(centre, scale(radius + 0.5 * gap, world[2]))
+    origins = (body.shoulder, body.shoulder, body.knee)
+    columns = tuple(
+        cross(tuple(map(_twice, a)), sub(point, tuple(map(_twice, o))))
+        for a, o in zip(body.axes, origins)
+    )
+    impedance = _impedance(k, gap)
+    # MuJoCo's approximation of a pyramid edge's inverse inertia.
+    weight = lane(np.tile(k.weight, 2)) * (2 * k.friction**2 * (1 + k.friction**2))
+    stiffness = impedance / ((1 - impedance) * weight)
+    spring, damper = _reference(k)
     contact = Contact(point, columns, gap < 0, stiffness, ())
     speeds = _edges(world, k.friction, _at(contact, base_speed, joint_speed))
     return contact._replace(wanted=tuple(-damper * u - spring * impedance * gap for u in speeds))
 
 
-def _hessian(mass: Arrow, contact: Contact, world, friction, active) -> Arrow:
-    """Mass matrix plus J^T D J of the active rows: still an arrow."""
+def _joint_rows(k: Constants, q, speed, lane) -> Joints:
+    """Dry friction and limits.  Source: MuJoCo's documentation, Computation."""
+    spring, damper = _reference(k)
+    d_min = k.impedance[0]
+    rows = Joints([], [], [], [], [])
+    for n in range(3):
+        weight = lane(k.joint_weight[n])
+        rows.friction.append(lane(d_min / (1 - d_min) / k.joint_weight[n]))
+        rows.stop.append(-damper * speed[n])
+        below, above = q[n] - k.low[n], k.high[n] - q[n]
+        gap = jnp.minimum(below, above)
+        inward = jnp.where(below < above, 1.0, -1.0).astype(gap.dtype)
+        impedance = _impedance(k, gap)
+        stiffness = impedance / ((1 - impedance) * weight)
+        rows.inward.append(inward)
+        rows.limit.append(jnp.where(gap < 0, stiffness, 0.0))
+        rows.back.append(-damper * inward * speed[n] - spring * impedance * gap)
+    return rows
+
+
+def _hessian(mass: Arrow, contact: Contact, world, friction, active, joint_rows) -> Arrow:
+    """Mass matrix plus J^T D J of the active rows: still an arrow.  joint_rows: D of each joint's
+    own active rows."""
     d = contact.stiffness
     s = [d * a for a in active]
     nn = (s[0] + s[1]) + (s[2] + s[3])
@@ -110,28 +174,44 @@ def _hessian(mass: Arrow, contact: Contact, world, friction, active) -> Arrow:
     def block(i, j):
         return dot(columns[i], pushed[j])
 
+    legs = [[mass.leg[i][j] + _by_leg(block(6 + i, 6 + j)) for j in range(i + 1)] for i in range(3)]
+    for n in range(3):
+        legs[n][n] = legs[n][n] + joint_rows[n]
     return Arrow(
-        [[mass.base[i][j] + over_legs(block(i, j)) for j in range(i + 1)] for i in range(6)],
-        [[mass.cross[i][j] + block(i, 6 + j) for j in range(3)] for i in range(6)],
-        [[mass.leg[i][j] + block(6 + i, 6 + j) for j in range(i + 1)] for i in range(3)],
+        [[mass.base[i][j] + _sum(block(i, j)) for j in range(i + 1)] for i in range(6)],
+        [[mass.cross[i][j] + _by_leg(block(i, 6 + j)) for j in range(3)] for i in range(6)],
+        legs,
     )
 
 
-def _line_search(slope_0, curve_0, rows, speeds, contact, iterations):
-    """Minimiser over alpha of slope_0 alpha + curve_0 alpha^2 / 2 + sum D/2 min(x + alpha u, 0)^2.
+def _line_search(curve_0, rows, speeds, contact, joints, friction_loss, iterations):
+    """Minimiser over alpha of curve_0 alpha^2 / 2 + the rows' costs: contacts and limits
+    D/2 min(x + alpha u, 0)^2, dry friction Huber's.  joints: (x, u, D) of limits, of friction.
 
     The derivative rises monotonically, piecewise linearly: Newton from 0, kept in a bracket.
     """
+    limits, frictions = joints
 
     def derivative(alpha):
-        slope, curve = slope_0 + alpha * curve_0, curve_0
+        curve, slope = curve_0, alpha * curve_0
+        pulls, curves = 0.0, 0.0
         for x, u in zip(rows, speeds):
             at = x + alpha * u
             pull = jnp.where(contact.touching & (at < 0), contact.stiffness * u, 0.0)
-            slope, curve = slope + over_legs(pull * at), curve + over_legs(pull * u)
-        return slope, curve
+            pulls, curves = pulls + pull * at, curves + pull * u
+        slope, curve = slope + _sum(pulls), curve + _sum(curves)
+        pulls, curves = 0.0, 0.0
+        for x, u, d in limits:
+            at = x + alpha * u
+            pull = jnp.where(at < 0, d * u, 0.0)
+            pulls, curves = pulls + pull * at, curves + pull * u
+        for x, u, d in frictions:
+            force = d * (x + alpha * u)
+            pulls = pulls + u * jnp.clip(force, -friction_loss, friction_loss)
+            curves = curves + jnp.where(jnp.abs(force) < friction_loss, d * u * u, 0.0)
+        return slope + over_legs(pulls), curve + over_legs(curves)
 
-    zero = jnp.zeros_like(slope_0)
+    zero = jnp.zeros_like(curve_0)
     low, high, alpha = zero, zero + jnp.inf, zero
     for _ in range(iterations):
         slope, curve = derivative(alpha)
@@ -165,9 +245,11 @@ def accelerations(k: Constants, qpos, qvel, ctrl, search_iterations: int):
 
     body = pose(q, lane)
     mass, bias_base, bias_leg = inertia_and_bias(k, body, spin, joint_speed, world[2], lane)
-    force = [
-        k.gain * (t - x) - k.damping * v - b for t, x, v, b in zip(wanted, q, joint_speed, bias_leg)
+    servo = [
+        jnp.clip(p * (t - x) - d * v, -k.torque, k.torque)
+        for p, d, t, x, v in zip(k.gain, k.damping, wanted, q, joint_speed)
     ]
+    force = [a - b for a, b in zip(servo, bias_leg)]
     base, joints = solve_arrow(mass, [-b for b in bias_base], force)
 
     contact = _contact(k, body, qpos[2], world, base_speed, joint_speed, lane)
@@ -176,16 +258,37 @@ def accelerations(k: Constants, qpos, qvel, ctrl, search_iterations: int):
     ]
     active = [contact.touching & (x < 0) for x in rows]
     push = [jnp.where(a, -contact.stiffness * x, 0.0) for a, x in zip(active, rows)]
-    at_foot = _from_edges(world, k.friction, push)
-    pull_base = [over_legs(f) for f in (*at_foot, *cross(contact.point, at_foot))]
-    pull_leg = [dot(g, at_foot) for g in contact.columns]
-    hessian = _hessian(mass, contact, world, k.friction, [a.astype(dtype) for a in active])
+    at_point = _from_edges(world, k.friction, push)
+    pull_base = [_sum(f) for f in (*at_point, *cross(contact.point, at_point))]
+    pull_leg = [_by_leg(dot(g, at_point)) for g in contact.columns]
+
+    own = _joint_rows(k, q, joint_speed, lane)
+    stiff = []
+    limits, frictions = [], []
+    for n in range(3):
+        dry = joints[n] - own.stop[n]
+        wall = own.inward[n] * joints[n] - own.back[n]
+        drag = own.friction[n] * dry
+        hold = jnp.where(wall < 0, own.limit[n], 0.0)
+        stiff.append(hold + jnp.where(jnp.abs(drag) < k.friction_loss, own.friction[n], 0.0))
+        pull_leg[n] = pull_leg[n] - own.inward[n] * hold * wall
+        pull_leg[n] = pull_leg[n] - jnp.clip(drag, -k.friction_loss, k.friction_loss)
+        limits.append((wall, own.inward[n], own.limit[n]))
+        frictions.append((dry, own.friction[n]))
+    active = [a.astype(dtype) for a in active]
+    hessian = _hessian(mass, contact, world, k.friction, active, stiff)
     search, search_leg = solve_arrow(hessian, pull_base, pull_leg)
 
-    # Without contact the gradient and the direction are zero and so is the step.
+    # Where nothing acts the gradient and the direction are zero and so is the step.
     speeds = _edges(world, k.friction, _at(contact, search, search_leg))
     curve = _quadratic(mass, search, search_leg)
-    alpha = _line_search(jnp.zeros_like(curve), curve, rows, speeds, contact, search_iterations)
+    of_joints = (
+        [(x, s * u, d) for (x, s, d), u in zip(limits, search_leg)],
+        [(x, u, d) for (x, d), u in zip(frictions, search_leg)],
+    )
+    alpha = _line_search(
+        curve, rows, speeds, contact, of_joints, k.friction_loss, search_iterations
+    )
     base = [a + alpha * b for a, b in zip(base, search)]
     joints = [a + alpha * b for a, b in zip(joints, search_leg)]
     linear = [dot(axis, tuple(base[:3])) for axis in world]
@@ -207,7 +310,7 @@ def _quadratic(m: Arrow, base, leg):
     return of(m.base, base) + 2 * mixed + over_legs(of(m.leg, leg))
 
 
-def step(k: Constants, qpos, qvel, ctrl, search_iterations: int = 6):
+def step(k: Constants, qpos, qvel, ctrl, search_iterations: int = 8):
     """One timestep of semi-implicit Euler: (qpos [19], qvel [18]) from set-points ctrl [12]."""
     dt = k.timestep
     qvel = qvel + dt * accelerations(k, qpos, qvel, ctrl, search_iterations)

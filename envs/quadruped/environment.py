@@ -19,9 +19,11 @@ from envs.field import (
     nearest_obstacle,
     roll_ball,
 )
+from envs.quadruped import OWN, physics
 from envs.quadruped import constants as c
-from envs.quadruped import physics
-from envs.quadruped.locomotion import Gait, follow, load_gait, set_points
+from envs.quadruped.locomotion import SPEED, Gait, follow, limit, load_gait, set_points
+from envs.quadruped.rigid_body import Variation
+from envs.scenes import BALL_DECELERATION
 
 
 class State(NamedTuple):
@@ -29,13 +31,15 @@ class State(NamedTuple):
 
     qpos: x, y, z (m), quaternion w, x, y, z, twelve joints (rad).  qvel: linear (m/s, world
     frame), angular (rad/s, body frame), joints.  phase: of the gait, turns.  stride: v_x, v_y,
-    omega the gait is walking at.  fallen: it fell, for good.
+    omega the gait is walking at.  set_points: the servos' last ones, rad.  fallen: it fell, for
+    good.
     """
 
     qpos: Float[Array, "19"]
     qvel: Float[Array, "18"]
     phase: Float[Array, ""]
     stride: Float[Array, "3"]
+    set_points: Float[Array, "12"]
     fallen: Bool[Array, ""]
     ball: Ball
     discs: tuple[Disc, ...]
@@ -48,7 +52,7 @@ def _default_gait() -> Gait:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Quadruped:
-    """ERS-210 that walks by open-loop trot; ball and obstacles move as in the kinematic world.
+    """ERS-210 that walks by open-loop gait; ball and obstacles move as in the kinematic world.
 
     The robot's centre is the middle between its four shoulders.  d_obstacle is measured from
     it, and both angles are taken there; d_ball is measured from the capture point, 0.145 m
@@ -56,6 +60,8 @@ class Quadruped:
     Angles are those of the trunk at that instant, with the few hundredths of a radian by which
     a trot swings it: what a camera on the body would see, so nothing is filtered.
 
+    servo_speed: how fast set-points may move, in units of Sony's speeds (`constants.LEG_SPEED`).
+    variation: how this dog and its carpet differ from the model.
     solver: timestep, substeps and back end (static).  fall_tilt: cosine of the trunk's tilt, and
     fall_height: shoulders above the floor (m), below which the dog has fallen; it then stays as
     it is.  ball_deceleration: m/s^2 of a rolling ball.  rest: the pose at the start, found by
@@ -63,10 +69,12 @@ class Quadruped:
     """
 
     gait: Gait = dataclasses.field(default_factory=_default_gait)
-    limits: Limits = Limits()
+    limits: Limits = Limits(**OWN)
+    servo_speed: Scalar = 1.0
     fall_tilt: Scalar = 0.7
-    fall_height: Scalar = 0.06
-    ball_deceleration: Scalar = 0.05
+    fall_height: Scalar = 0.045
+    ball_deceleration: Scalar = BALL_DECELERATION
+    variation: Variation = Variation()
     solver: physics.Solver = dataclasses.field(default=physics.Solver(), metadata={"static": True})
     field: Field = dataclasses.field(default=FIELD, metadata={"static": True})
     rest: Float[Array, "19"] | None = None
@@ -96,6 +104,7 @@ class Quadruped:
             qvel=jnp.zeros(physics.NUM_V, qpos.dtype),
             phase=jnp.zeros_like(x),
             stride=jnp.zeros(3, qpos.dtype),
+            set_points=rest[7:],
             fallen=jnp.zeros_like(x, bool),
             ball=Ball(scene.ball[0], scene.ball[1], *((None,) * 2 if vb is None else vb)),
             discs=tuple(
@@ -117,21 +126,23 @@ class Quadruped:
         physics_step = physics.step_fn(self.solver)
 
         def substep(carry, ctrl):
-            return physics_step(*carry, ctrl), None
+            return physics_step(*carry, ctrl, self.variation), None
 
         # Reverse mode keeps one state a physics step and computes the rest again.
         substep = jax.checkpoint(substep, prevent_cse=False)
         (qpos, qvel), _ = jax.lax.scan(substep, (state.qpos, state.qvel), targets)
         turns = state.phase + self.dt / self.gait.period
-        return self.accept(state, qpos, qvel, turns - jnp.floor(turns), stride)
+        return self.accept(state, qpos, qvel, turns - jnp.floor(turns), stride, targets[-1])
 
     def targets(self, state: State, wanted: Float[Array, "3"]):
         """Stride of this control step, and set-points [substeps, 12] for its physics steps."""
         stride = follow(self.gait, state.stride, wanted, self.dt)
         ticks = jnp.arange(self.solver.substeps, dtype=state.phase.dtype) * self.solver.timestep
-        return stride, set_points(self.gait, state.phase + ticks / self.gait.period, stride)
+        targets = set_points(self.gait, state.phase + ticks / self.gait.period, stride)
+        most = self.servo_speed * self.solver.timestep * jnp.asarray(SPEED, targets.dtype)
+        return stride, limit(targets, state.set_points, most)
 
-    def accept(self, state: State, qpos, qvel, phase, stride) -> State:
+    def accept(self, state: State, qpos, qvel, phase, stride, set_points) -> State:
         """The state after a control step's physics; a dog that has fallen stays as it was."""
         upright = 1 - 2 * (qpos[4] * qpos[4] + qpos[5] * qpos[5])
         # Written so that a NaN anywhere counts as a fall.
@@ -143,6 +154,7 @@ class Quadruped:
             qvel=jnp.where(fallen, jnp.zeros_like(qvel), qvel),
             phase=phase,
             stride=stride,
+            set_points=set_points,
             fallen=fallen,
             ball=roll_ball(state.ball, self.dt, self.ball_deceleration, self.field),
             discs=tuple(move_disc(d, self.dt, self.field) for d in state.discs),

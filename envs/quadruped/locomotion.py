@@ -1,8 +1,9 @@
 """Walking: (v_x, v_y, omega) to twelve joint set-points, a pure function of phase and gait.
 
-A trot: diagonal feet move together.  On the ground a foot moves against the wanted body motion
-at constant speed; through the air it returns on a curve whose ends have the ground's speed, so
-that set-points have no kinks.  Leg inverse kinematics are analytic.
+On the ground a foot moves against the wanted body motion at constant speed; through the air it
+returns at constant speed, too, rising and sinking on ramps: of all ways back this is the one whose
+fastest joint is slowest, and joints are what limits the walk (`limit`).  Diagonal feet move
+together in a trot, one foot after the other in a crawl.  Leg inverse kinematics are analytic.
 
 Arrays over legs are in the order of `constants.LEGS`; a foot is the centre of its sphere.
 """
@@ -11,6 +12,7 @@ import dataclasses
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -30,20 +32,25 @@ SHIN = np.asarray(c.LOWER_LEG, np.float32) - np.float32(c.FOOT_RADIUS)  # knee t
 LOW, HIGH = np.asarray(c.LEG_LOW, np.float32), np.asarray(c.LEG_HIGH, np.float32)
 THIGH = math.hypot(c.UPPER_LEG, c.KNEE_OFFSET)
 KNEE_ANGLE = math.atan2(c.KNEE_OFFSET, c.UPPER_LEG)
-DIAGONAL = np.asarray([0.0, 0.5, 0.5, 0.0], np.float32)  # phase of each leg in a trot
-_POSITIVE = ("period", "duty", "height", "v_rate", "omega_rate", "full_lift")
+TROT = np.asarray([0.0, 0.5, 0.5, 0.0], np.float32)  # phase of each leg
+CRAWL = np.asarray([0.0, 0.5, 0.75, 0.25], np.float32)  # fore left, hind right, ...
+SPEED = np.tile(np.asarray(c.LEG_SPEED, np.float32), 4)  # rad/s, order of the actuators
+_POSITIVE = ("period", "duty", "height", "ramp", "v_rate", "omega_rate", "full_lift")
 DEFAULT_GAIT = Path(__file__).parent / "data" / "trot.json"
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Gait:
-    """Parameters of a trot.  Every field is traced, so that gaits can be evolved.
+    """Parameters of a walk.  Every field is traced, so that gaits can be evolved.
 
-    period: s.  duty: share of it on the ground.  lift: height of a step, m.  height: shoulders
-    above the floor, m.  fore_x, hind_x: where the feet stand ahead of their shoulder, m.
-    fore_y, hind_y: how far outside, m.  tilt: by how much the fore shoulders are lower, m.
-    gain_*: stride per wanted displacement.
+    period: s.  duty: share of it on the ground.  lift: height of a step, m.  ramp: share of the
+    way through the air on which a foot rises, and sinks.  crawl: 0 diagonal feet together, 1 one
+    foot after the other.  height: shoulders above the floor, m.  fore_x, hind_x: where the feet
+    stand ahead of their shoulder, m.  fore_y, hind_y: how far outside, m.  tilt: by how much the
+    fore shoulders are lower, m.
+    gain_*: stride per wanted displacement.  calibration: what to ask for so that the dog walks as
+    wanted (`calibrated`).
     v_rate, omega_rate: how fast strides may change, m/s^2 and rad/s^2.
     full_lift: speed of a foot from which on steps have their full height, m/s: below it the dog
     treads less, and without a command it stands.
@@ -52,6 +59,8 @@ class Gait:
     period: Scalar = 0.30
     duty: Scalar = 0.53
     lift: Scalar = 0.024
+    ramp: Scalar = 0.3
+    crawl: Scalar = 0.0
     height: Scalar = 0.105
     tilt: Scalar = 0.0
     fore_x: Scalar = 0.0
@@ -61,6 +70,7 @@ class Gait:
     gain_x: Scalar = 1.0
     gain_y: Scalar = 1.0
     gain_omega: Scalar = 1.0
+    calibration: Any = ((1.0, 0, 0, 0, 0, 0),) * 3
     v_rate: Scalar = 2.0
     omega_rate: Scalar = 15.0
     full_lift: Scalar = 0.02
@@ -73,7 +83,7 @@ def load_gait(path: Path | str = DEFAULT_GAIT) -> Gait:
     """
     try:
         values = json.loads(Path(path).read_text(encoding="utf-8"))["gait"]
-        values = {name: float(value) for name, value in values.items()}
+        values = {name: np.asarray(value, float) for name, value in values.items()}
     except OSError as error:
         raise ValueError(f"gait = {path}: {error.strerror or error}") from None
     except (ValueError, TypeError, KeyError, AttributeError):
@@ -84,11 +94,43 @@ def load_gait(path: Path | str = DEFAULT_GAIT) -> Gait:
     if unknown := sorted(set(values) - known):
         raise ValueError(f"gait {path}: unknown {unknown}; allowed are {sorted(known)}")
     for name, value in values.items():
-        if not math.isfinite(value):
-            raise ValueError(f"gait {path}: {name} = {value}; allowed are finite numbers")
+        shape = (3, 6) if name == "calibration" else ()
+        if value.shape != shape or not np.isfinite(value).all():
+            raise ValueError(
+                f"gait {path}: {name} = {value}; allowed are finite numbers"
+                + (", three rows of six" if shape else "")
+            )
         if name in _POSITIVE and value <= 0:
             raise ValueError(f"gait {path}: {name} = {value}; allowed are numbers above 0")
-    return Gait(**values)
+    return Gait(**{name: as_number(value) for name, value in values.items()})
+
+
+def as_number(value):
+    """A JSON number, or rows of them as tuples: a dataclass must be comparable."""
+    rows = np.asarray(value, float).tolist()
+    return tuple(map(tuple, rows)) if isinstance(rows, list) else rows
+
+
+def calibrated(gait: Gait, wanted: Float[Array, "3"]) -> Float[Array, "3"]:
+    """The velocity to make strides for so that the dog, which slips, walks as wanted.
+
+    A row of `Gait.calibration` times each velocity's `slip_terms`.
+    """
+    table = gait.calibration
+    rows = slip_terms(wanted[0], wanted[1], wanted[2])
+    return jnp.stack(
+        [sum(table[i][j] * x for j, x in enumerate(row)) for i, row in enumerate(rows)]
+    )
+
+
+def slip_terms(v, v_y, omega, xp=jnp):
+    """What v, v_y and omega are fitted with: powers, products that a dog which is its own mirror
+    image may have, and a step at small commands, where feet stick."""
+    return (
+        (v, v * v, v * v * v, omega * omega, v_y * omega, xp.tanh(v / 0.03)),
+        (v_y, v_y * v_y * v_y, omega, v * omega, v * v_y, xp.tanh(v_y / 0.02)),
+        (omega, omega * omega * omega, v_y, v * v_y, v * v * omega, xp.tanh(omega / 0.2)),
+    )
 
 
 def leg_forward(q: Float[Array, "*b 4 3"]) -> Float[Array, "*b 4 3"]:
@@ -151,25 +193,21 @@ def stance(gait: Gait, xp=jnp) -> Float[Array, "4 3"]:
 def foot_targets(
     gait: Gait, phase: Float[Array, "*b"], velocity: Float[Array, "3"]
 ) -> Float[Array, "*b 4 3"]:
-    """Wanted feet (m, body's frame) at a phase in turns, for a stride velocity (v_x, v_y, omega).
+    """Wanted feet (m, body's frame) at a phase in turns, for a velocity (v_x, v_y, omega).
 
     On the ground, share s of it past: stand + stride (1/2 - s); the stride is the body's velocity
     at the foot times the time on the ground.
     """
     stand = stance(gait)
+    velocity = calibrated(gait, velocity)
     vx = gait.gain_x * velocity[0] - gait.gain_omega * velocity[2] * stand[:, 1]
     vy = gait.gain_y * velocity[1] + gait.gain_omega * velocity[2] * stand[:, 0]
     on_ground = gait.duty * gait.period
-    turn = phase[..., None] + DIAGONAL
+    turn = phase[..., None] + TROT + gait.crawl * (CRAWL - TROT)
     turn = turn - jnp.floor(turn)
-    s = turn / gait.duty
     u = jnp.clip((turn - gait.duty) / (1 - gait.duty), 0.0, 1.0)
-    # Hermite cubic from -1/2 to 1/2 whose slope at both ends is that of the ground.
-    slope = -(1 - gait.duty) / gait.duty
-    air = -0.5 + u * (slope + u * (3 - 3 * slope + u * (2 * slope - 2)))
-    along = jnp.where(turn < gait.duty, 0.5 - s, air)
-    # A bump with zero slope at both ends, 1 at the top (16 u^2 (1-u)^2): no sine needed.
-    bump = 16 * jnp.square(u * (1 - u))
+    along = jnp.where(turn < gait.duty, 0.5 - turn / gait.duty, u - 0.5)
+    bump = jnp.minimum(jnp.minimum(u, 1 - u) / gait.ramp, 1.0)
     pace = jnp.sqrt(jnp.max(vx * vx + vy * vy) + 1e-12)
     rise = gait.lift * jnp.minimum(1.0, pace / gait.full_lift)
     dx, dy, dz = along * (vx * on_ground), along * (vy * on_ground), rise * bump
@@ -188,3 +226,16 @@ def follow(gait: Gait, velocity: Float[Array, "3"], wanted: Float[Array, "3"], d
     """The stride velocity after dt (s): towards the wanted one, no faster than the gait's rates."""
     rate = jnp.stack([jnp.asarray(r) for r in (gait.v_rate, gait.v_rate, gait.omega_rate)]) * dt
     return velocity + jnp.clip(wanted - velocity, -rate, rate)
+
+
+def limit(
+    targets: Float[Array, "N 12"], last: Float[Array, "12"], most: Float[Array, "12"]
+) -> Float[Array, "N 12"]:
+    """Set-points that follow targets (rad) from the last ones, each joint by at most `most` (rad)
+    from one to the next."""
+
+    def follow_target(at, target):
+        at = at + jnp.clip(target - at, -most, most)
+        return at, at
+
+    return jax.lax.scan(follow_target, last, targets)[1]

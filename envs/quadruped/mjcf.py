@@ -1,8 +1,9 @@
 """The ERS-210 and its field as MJCF, written from `constants`: one source, two variants.
 
-lean: what training needs.  Head and tail are locked, the four feet touch the floor and nothing
-    touches anything else; ball and obstacles are the environment's, not MuJoCo's.
-full: all 17 joints with limits, a free ball, walls, obstacle robots (upright capsules, moved as
+lean: what training needs.  Head and tail are locked; the four feet and the four elbows (hind:
+    knees) touch the floor and nothing touches anything else; ball and obstacles are the
+    environment's, not MuJoCo's.
+full: all 17 joints, a free ball, walls, obstacle robots (upright capsules, moved as
     mocap bodies), contacts of trunk, head, legs, feet and ball, sensors, and everything that is
     to be seen.  Its first 19 coordinates and 12 actuators are those of lean.
 """
@@ -20,17 +21,18 @@ _COLOURS = {
     "skyblue": "0.3 0.7 1 1",
 }
 _FEET = tuple(f"{leg}_foot" for leg in c.LEGS)
+_ELBOWS = tuple(f"{leg}_elbow" for leg in c.LEGS)
 _SHINS = tuple(f"{leg}_shin" for leg in c.LEGS)
-_BODY = ("trunk", "head", *_SHINS, *_FEET)  # what may touch something in `full`
+_BODY = ("trunk", "head", *_SHINS, *_ELBOWS, *_FEET)  # what may touch something in `full`
 _WALLS = ("wall_front", "wall_back", "wall_left", "wall_right")
 
 
 def mjcf(
     variant: str = LEAN,
     *,
-    timestep: float = 0.01,
+    timestep: float = 0.005,
     iterations: int = 1,
-    ls_iterations: int = 4,
+    ls_iterations: int = 8,
     num_obstacles: int = 2,
 ) -> str:
     """MJCF text of a variant.  timestep in s; the rest are Newton's iterations, its line search's
@@ -56,13 +58,12 @@ def mjcf(
     <flag {flags}/>
   </option>
   <default>
-    <joint damping="{c.SERVO_DAMPING}" armature="{c.SERVO_ARMATURE}" limited="{_bool(full)}"/>
+    <joint armature="{c.SERVO_ARMATURE}" frictionloss="{c.SERVO_FRICTION}" limited="true"/>
     <geom contype="0" conaffinity="0" group="1" rgba="0.75 0.76 0.8 1"/>
-    <position kp="{c.SERVO_GAIN}"/>
     <pair condim="3" friction="{c.FRICTION} {c.FRICTION} 0.005 0.0001 0.0001"/>
     <default class="light">
-      <joint damping="{c.LIGHT_DAMPING}" armature="{c.LIGHT_ARMATURE}"/>
-      <position kp="{c.LIGHT_GAIN}"/>
+      <joint damping="{c.LIGHT_DAMPING}" armature="{c.LIGHT_ARMATURE}" frictionloss="0"/>
+      <position kp="{c.LIGHT_GAIN}" forcerange="{-c.LIGHT_TORQUE} {c.LIGHT_TORQUE}"/>
     </default>
   </default>
 {_LOOKS if full else ""}
@@ -90,10 +91,6 @@ def mjcf(
   </sensor>
 </mujoco>
 """
-
-
-def _bool(value: bool) -> str:
-    return "true" if value else "false"
 
 
 def _range(low: float, high: float, degrees: bool = False) -> str:
@@ -124,6 +121,7 @@ def _leg(i: int) -> str:
             {joints[2]}
             <geom name="{leg}_shin" type="capsule" fromto="0 0 0 0 0 {-shin}" size="0.009"
                   mass="{c.MASS_LOWER}"/>
+            <geom name="{leg}_elbow" type="sphere" size="{c.ELBOW_RADIUS}" mass="0"/>
             <geom name="{leg}_foot" type="sphere" pos="0 0 {-shin}" size="{c.FOOT_RADIUS}"
                   mass="0" rgba="0.25 0.25 0.28 1"/>
             <site name="{leg}_sole" pos="0 0 {-shin}" size="{1.2 * c.FOOT_RADIUS}" group="4"/>
@@ -177,7 +175,7 @@ def _tail(on: bool) -> str:
 
 
 def _pairs(full: bool, num_obstacles: int) -> str:
-    pairs = [("floor", foot) for foot in _FEET]
+    pairs = [("floor", part) for part in (*_FEET, *_ELBOWS)]
     if full:
         obstacles = [f"obstacle{k}" for k in range(num_obstacles)]
         pairs += [("floor", g) for g in ("trunk", "head", "ball")]
@@ -188,10 +186,11 @@ def _pairs(full: bool, num_obstacles: int) -> str:
 
 
 def _actuators(full: bool) -> str:
-    legs = [f"{leg}_j{j}" for leg in c.LEGS for j in (1, 2, 3)]
+    limit = f'forcerange="{-c.SERVO_TORQUE} {c.SERVO_TORQUE}"'
+    legs = [(f"{leg}_j{j + 1}", c.SERVO_P[j], c.SERVO_D[j]) for leg in c.LEGS for j in range(3)]
     light = ["head_tilt", "head_pan", "head_roll", "tail_tilt", "tail_pan"] if full else []
     return "\n".join(
-        [f'    <position name="{j}" joint="{j}"/>' for j in legs]
+        [f'    <position name="{j}" joint="{j}" kp="{p}" kv="{d}" {limit}/>' for j, p, d in legs]
         + [f'    <position class="light" name="{j}" joint="{j}"/>' for j in light]
     )
 
@@ -206,9 +205,10 @@ def _sensors() -> str:
 
 def _ball() -> str:
     r = FIELD.ball_radius
-    # Rolling resistance as damping: a rolling ball loses about 0.05 m/s^2 at 0.2 m/s.
+    # Rolling resistance is a force of the world's (native.rolling_resistance): MuJoCo knows none
+    # that is the same in every direction.
     return f"""    <body name="ball" pos="0.5 0 {r}">
-      <joint name="ball" type="free" damping="0.0005" armature="0" limited="false"/>
+      <joint name="ball" type="free" armature="0" frictionloss="0" limited="false"/>
       <geom name="ball" type="sphere" size="{r}" mass="{c.BALL_MASS}" rgba="1 0.45 0.05 1"/>
     </body>
 """

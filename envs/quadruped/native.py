@@ -15,12 +15,19 @@ import numpy as np
 from mujoco import rollout as mujoco_rollout
 
 from envs.base import Observation, Scene
-from envs.field import Ball
+from envs.field import FIELD, Ball
+from envs.quadruped import constants as c
 from envs.quadruped import mjcf, physics
 from envs.quadruped.environment import Quadruped, State
 
 _PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_INPUT = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS
+_INPUT = (
+    mujoco.mjtState.mjSTATE_CTRL
+    | mujoco.mjtState.mjSTATE_QFRC_APPLIED
+    | mujoco.mjtState.mjSTATE_MOCAP_POS
+)
+_BALL_V = physics.NUM_V + 5  # of the full model's speeds: the ball's, after head and tail
+_ROLLING = 1.4  # a rolling solid sphere is as inert as so many of its masses
 
 
 class Episode(NamedTuple):
@@ -38,6 +45,14 @@ class Episode(NamedTuple):
     obstacles: np.ndarray
     fallen: np.ndarray
     path: np.ndarray
+
+
+def rolling_resistance(velocity: np.ndarray, deceleration: float, dt: float) -> np.ndarray:
+    """The force [n, 2] (N) that slows a rolling ball by `deceleration` (m/s^2) for dt (s), or to a
+    standstill: the law of `envs.field.roll_ball`.  velocity: [n, 2], m/s."""
+    speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
+    lost = np.minimum(deceleration, speed / dt)
+    return -_ROLLING * c.BALL_MASS * lost * velocity / np.maximum(speed, 1e-9)
 
 
 def run(
@@ -71,7 +86,11 @@ def run(
         ball = physics.NUM_Q + 5
         qpos[:, ball : ball + 2] = scenes.ball
         if scenes.ball_velocity is not None:
-            qvel[:, physics.NUM_V + 5 : physics.NUM_V + 7] = scenes.ball_velocity
+            v = np.asarray(scenes.ball_velocity)
+            qvel[:, _BALL_V : _BALL_V + 2] = v
+            # It rolls: its lowest point is at rest.
+            spin = np.stack([-v[:, 1], v[:, 0]], axis=1) / FIELD.ball_radius
+            qvel[:, _BALL_V + 3 : _BALL_V + 5] = spin
 
     measure = jax.jit(jax.vmap(env.measure))
 
@@ -85,9 +104,9 @@ def run(
         return seen, command, stride, targets
 
     @jax.jit
-    def after(state, qpos, qvel, stride):
+    def after(state, qpos, qvel, stride, set_points):
         turns = state.phase + env.dt / env.gait.period
-        new = jax.vmap(env.accept)(state, qpos, qvel, turns - jnp.floor(turns), stride)
+        new = jax.vmap(env.accept)(state, qpos, qvel, turns - jnp.floor(turns), stride, set_points)
         return new, measure(new)
 
     size = mujoco.mj_stateSize(model, _PHYSICS)
@@ -103,13 +122,18 @@ def run(
             # Layout of the state vector: time, qpos, qvel.
             initial[:, 1 : 1 + model.nq] = qpos
             initial[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
-            inputs = np.zeros((num, env.solver.substeps, model.nu + 3 * model.nmocap))
+            force, mocap = model.nu, model.nu + model.nv
+            inputs = np.zeros((num, env.solver.substeps, mocap + 3 * model.nmocap))
             inputs[:, :, :12] = targets
+            if full:
+                rolling = qvel[:, _BALL_V : _BALL_V + 2]
+                resistance = rolling_resistance(rolling, float(env.ball_deceleration), env.dt)
+                inputs[:, :, force + _BALL_V : force + _BALL_V + 2] = resistance[:, None]
             for k in range(model.nmocap):
                 disc = state.discs[k]
-                inputs[:, :, model.nu + 3 * k] = np.asarray(disc.x)[:, None]
-                inputs[:, :, model.nu + 3 * k + 1] = np.asarray(disc.y)[:, None]
-                inputs[:, :, model.nu + 3 * k + 2] = 0.12
+                inputs[:, :, mocap + 3 * k] = np.asarray(disc.x)[:, None]
+                inputs[:, :, mocap + 3 * k + 1] = np.asarray(disc.y)[:, None]
+                inputs[:, :, mocap + 3 * k + 2] = 0.12
             path, _ = pool.rollout(
                 models if full else model, datas, initial, inputs, control_spec=int(_INPUT)
             )
@@ -122,7 +146,7 @@ def run(
             legs_q = np.where(lost[:, None], np.nan, qpos[:, : physics.NUM_Q])
             legs_q = jnp.asarray(legs_q, jnp.float32)  # type: ignore[assignment]
             legs_v = jnp.asarray(qvel[:, : physics.NUM_V], jnp.float32)
-            state, seen = after(state, legs_q, legs_v, stride)
+            state, seen = after(state, legs_q, legs_v, stride, targets[:, -1])
             if full:
                 x, y = jnp.asarray(qpos[:, ball : ball + 2].T, jnp.float32)
                 state = state._replace(ball=Ball(x, y))

@@ -26,8 +26,8 @@ _FUSION = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
 IMPLS = ("jax", "warp", "structured")
 NUM_Q, NUM_V = 19, 18  # coordinates and speeds of the lean model
 
-# (qpos [19], qvel [18], set-points [12]) -> (qpos, qvel) one timestep later
-StepFn = Callable[[jax.Array, jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
+# (qpos [19], qvel [18], set-points [12], how the dog differs) -> (qpos, qvel) one timestep later
+StepFn = Callable[..., tuple[jax.Array, jax.Array]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,10 +40,10 @@ class Solver:
     """
 
     impl: str = "structured"
-    timestep: float = 0.01
-    substeps: int = 10
+    timestep: float = 0.005
+    substeps: int = 20
     iterations: int = 1
-    ls_iterations: int = 4
+    ls_iterations: int = 8
 
     def __post_init__(self):
         if self.impl not in IMPLS:
@@ -70,6 +70,16 @@ def compile_model(variant: str, solver: Solver, num_obstacles: int = 2) -> mujoc
 
 
 @functools.cache
+def _numbers(solver: Solver) -> rigid_body.Constants:
+    return rigid_body.constants_of(compile_model(mjcf.LEAN, solver))
+
+
+def constants(solver: Solver, variation: rigid_body.Variation) -> rigid_body.Constants:
+    """The lean model's numbers, for a dog that differs from it."""
+    return rigid_body.vary(_numbers(solver), variation)
+
+
+@functools.cache
 def step_fn(solver: Solver) -> StepFn:
     """The physics step of the lean model under a solver.
 
@@ -77,14 +87,16 @@ def step_fn(solver: Solver) -> StepFn:
     has a memory.  Raises ValueError where Warp is not installed for impl='warp', or where XLA's
     flags would make impl='jax' abort the process or its CPU devices let it hang.
     """
-    model = compile_model(mjcf.LEAN, solver)
     fused = "xla_cpu_use_multi_output_fusion" in os.environ.get("XLA_FLAGS", "")
     on_cpu = jax.default_backend() == "cpu"
     if solver.impl == "structured":
         if on_cpu and not fused:
             warnings.warn(f"{_FUSION} is not in XLA_FLAGS: compiling takes minutes", stacklevel=2)
-        numbers = rigid_body.constants_of(model)
-        return lambda qpos, qvel, ctrl: dynamics.step(numbers, qpos, qvel, ctrl)
+
+        def structured(qpos, qvel, ctrl, variation=rigid_body.Variation()):
+            return dynamics.step(constants(solver, variation), qpos, qvel, ctrl)
+
+        return structured
     if solver.impl == "jax" and on_cpu and fused:
         # jaxlib 0.10.2: "Check failed: GetNumDims() == other.GetNumResults()", an abort.
         raise ValueError(
@@ -101,6 +113,7 @@ def step_fn(solver: Solver) -> StepFn:
         )
     if solver.impl == "warp":
         _silence_warp()
+    model = compile_model(mjcf.LEAN, solver)
     # Called under a trace, too: the model must still be made of constants.
     with jax.ensure_compile_time_eval():
         mjx_model = mjx.put_model(model, impl=solver.impl)
@@ -110,7 +123,9 @@ def step_fn(solver: Solver) -> StepFn:
             mjx_model = mjx_model.tree_replace({"opt._impl.warn_overflow": 0})
         data = mjx.make_data(model, impl=solver.impl)
 
-    def step(qpos, qvel, ctrl):
+    def step(qpos, qvel, ctrl, variation=rigid_body.Variation()):
+        if any(x is not None for x in variation):
+            raise ValueError(f"impl = {solver.impl!r}: only 'structured' varies the dog")
         new = mjx.step(mjx_model, data.replace(qpos=qpos, qvel=qvel, ctrl=ctrl))
         return new.qpos, new.qvel
 

@@ -5,7 +5,7 @@ inertia needs an axis and two numbers and no rotation matrix.  Vectors are tuple
 the trunk's axes; a component has shape [], or [4] where there is one a leg.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import mujoco
@@ -35,15 +35,36 @@ class Part(NamedTuple):
     along: np.ndarray
 
 
+class Variation(NamedTuple):
+    """A dog and a carpet that differ from the model.  friction: coefficient of the carpet; gain,
+    torque, mass: factors on the servos' P, on their torque and on all masses.  None: as modelled.
+    Values may be traced.
+    """
+
+    friction: Any = None
+    gain: Any = None
+    torque: Any = None
+    mass: Any = None
+
+
 class Constants(NamedTuple):
-    """What the step takes from the compiled model."""
+    """What the step takes from the compiled model.  Numbers that a world varies (`gain`,
+    `friction`, `mass`, `torque`) may be traced.  Lists of three: of J1, J2, J3.
+
+    mass: factor on all masses and inertias.
+    """
 
     timestep: float
     gravity: float
-    gain: float
-    damping: float
+    gain: list
+    damping: list
+    torque: Any
     armature: float
-    friction: float
+    friction_loss: float
+    low: list
+    high: list
+    friction: Any
+    mass: Any
     trunk_mass: float
     trunk_centre: np.ndarray  # [3], m
     trunk_inertia: np.ndarray  # [3, 3] about its centre, kg m^2
@@ -52,7 +73,8 @@ class Constants(NamedTuple):
     lower: Part
     upper_centre: np.ndarray  # share of the way from shoulder to knee
     lower_centre: np.ndarray  # [4], m below the knee
-    weight: np.ndarray  # [4], inverse weight of a contact's rows
+    weight: np.ndarray  # [4], inverse mass of a lower leg
+    joint_weight: np.ndarray  # [3, 4], inverse inertia of a joint
     time_constant: float
     damp_ratio: float
     impedance: tuple[float, float, float]  # d_min, d_max, width
@@ -92,27 +114,41 @@ def constants_of(model: mujoco.MjModel) -> Constants:
     share = np.linalg.norm(upper_at, axis=1) / np.linalg.norm(knee, axis=1)
     need(np.allclose(upper_at, share[:, None] * knee, atol=1e-7), "centres on the legs' axes")
     need(np.allclose(lower_at[:, :2], 0, atol=1e-7), "centres on the legs' axes")
-    need(model.nv == 18 and model.npair == 4, "18 degrees of freedom and 4 contact pairs")
+    need(model.nv == 18 and model.npair == 8, "18 degrees of freedom and 8 contact pairs")
     mu, solref, solimp = model.pair_friction[0, 0], model.pair_solref[0], model.pair_solimp[0]
     need(np.all(model.pair_friction[:, :2] == mu), "one friction coefficient")
     need(tuple(solimp[3:]) == (0.5, 2.0) and np.all(solref > 0), "default solref and solimp")
     feet = [model.body(f"{leg}_lower").id for leg in c.LEGS]
-    # MuJoCo's approximation of a pyramid edge's inverse inertia.
-    weight = model.body_invweight0[feet, 0] * (1 + mu * mu) * 2 * mu * mu / model.opt.impratio
     joints = slice(6, 18)
-    for name, values in (
-        ("damping", model.dof_damping[joints]),
-        ("armature", model.dof_armature[joints]),
-        ("gain", model.actuator_gainprm[:, 0]),
-    ):
-        need(np.ptp(values) == 0, f"one joint {name}")
+
+    def each(values, what):
+        """One number a kind of joint, the same for all legs."""
+        rows = np.asarray(values).reshape(4, 3)
+        need(np.ptp(rows, axis=0).max() == 0, f"the same {what} in every leg")
+        return [float(x) for x in rows[0]]
+
+    def one(values, what):
+        need(np.ptp(values) == 0, f"one {what}")
+        return float(np.ravel(values)[0])
+
+    need(np.all(model.jnt_limited[1:]) and np.all(model.actuator_forcelimited), "limits")
+    need(np.all(model.dof_damping == 0), "damping in the actuators")
+    solvers = (model.dof_solref[joints], model.jnt_solref[1:], model.pair_solref)
+    need(all(np.all(x == solref) for x in solvers), "one solref")
+    solvers = (model.dof_solimp[joints], model.jnt_solimp[1:], model.pair_solimp)
+    need(all(np.all(x == solimp) for x in solvers), "one solimp")
     return Constants(
         timestep=float(model.opt.timestep),
         gravity=float(-model.opt.gravity[2]),
-        gain=float(model.actuator_gainprm[0, 0]),
-        damping=float(model.dof_damping[6]),
-        armature=float(model.dof_armature[6]),
+        gain=each(model.actuator_gainprm[:, 0], "gain"),
+        damping=each(-model.actuator_biasprm[:, 2], "damping"),
+        torque=one(model.actuator_forcerange[:, 1], "torque"),
+        armature=one(model.dof_armature[joints], "armature"),
+        friction_loss=one(model.dof_frictionloss[joints], "friction loss"),
+        low=each(model.jnt_range[1:, 0], "range"),
+        high=each(model.jnt_range[1:, 1], "range"),
         friction=float(mu),
+        mass=1.0,
         trunk_mass=float(model.body("trunk").mass[0]),
         trunk_centre=model.body("trunk").ipos,
         trunk_inertia=inertia(model.body("trunk").id),
@@ -121,11 +157,25 @@ def constants_of(model: mujoco.MjModel) -> Constants:
         lower=lower,
         upper_centre=share,
         lower_centre=-lower_at[:, 2],
-        weight=weight,
+        weight=model.body_invweight0[feet, 0] / model.opt.impratio,
+        joint_weight=model.dof_invweight0[joints].reshape(4, 3).T,
         time_constant=float(max(solref[0], 2 * model.opt.timestep)),
         damp_ratio=float(solref[1]),
         impedance=(float(solimp[0]), float(solimp[1]), float(solimp[2])),
     )
+
+
+def vary(k: Constants, variation: Variation) -> Constants:
+    """The numbers of a dog that differs from the model."""
+    if variation.friction is not None:
+        k = k._replace(friction=variation.friction)
+    if variation.gain is not None:
+        k = k._replace(gain=[variation.gain * p for p in k.gain])
+    if variation.torque is not None:
+        k = k._replace(torque=variation.torque * k.torque)
+    if variation.mass is not None:
+        k = k._replace(mass=variation.mass)
+    return k
 
 
 class Body(NamedTuple):
@@ -238,14 +288,11 @@ def inertia_and_bias(k: Constants, body: Body, spin, joint_speed, up, lane):
         return dot(axis, sub(torque, cross(at, force)))
 
     leg = [
-        [entry(a1, body.shoulder, f1, n1) + k.armature],
-        [entry(a1, body.shoulder, f2, n2), entry(a2, body.shoulder, f2, n2) + k.armature],
-        [
-            entry(a1, body.shoulder, f3, n3),
-            entry(a2, body.shoulder, f3, n3),
-            entry(a3, body.knee, f3, n3) + k.armature,
-        ],
+        [entry(a1, body.shoulder, f1, n1)],
+        [entry(a1, body.shoulder, f2, n2), entry(a2, body.shoulder, f2, n2)],
+        [entry(a, at, f3, n3) for a, at in ((a1, body.shoulder), (a2, body.shoulder))],
     ]
+    leg[2].append(entry(a3, body.knee, f3, n3))
     coupling = [[f[i] for f in (f1, f2, f3)] for i in range(3)]
     coupling += [[n[i] for n in (n1, n2, n3)] for i in range(3)]
 
@@ -273,4 +320,13 @@ def inertia_and_bias(k: Constants, body: Body, spin, joint_speed, up, lane):
     # Torque of the trunk's acceleration: moment x acceleration.
     base = [[mass], [0.0, mass], [0.0, 0.0, mass]]
     base += [[0.0, -hz, hy, rot[0][0]], [hz, 0.0, -hx, *rot[1]], [-hy, hx, 0.0, *rot[2]]]
+
+    def heavier(rows):
+        return [[mul(k.mass, x) for x in row] for row in rows]
+
+    if not isinstance(k.mass, float) or k.mass != 1.0:
+        base, coupling, leg = heavier(base), heavier(coupling), heavier(leg)
+        bias_base, bias_leg = heavier([bias_base, bias_leg])
+    for n in range(3):
+        leg[n][n] = leg[n][n] + k.armature
     return Arrow(base, coupling, leg), bias_base, bias_leg

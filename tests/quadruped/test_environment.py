@@ -9,6 +9,7 @@ from envs import scenes
 from envs.base import Command, Scene
 from envs.quadruped import constants as c
 from envs.quadruped import make
+from envs.quadruped.locomotion import SPEED
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +50,7 @@ def test_reset_puts_a_settled_dog_at_the_start(env, batch, drive):
 
 
 def test_it_walks_where_it_is_told(env, batch, drive):
-    v = jnp.full((8, 40), 0.2)
+    v = jnp.full((8, 40), 0.12)
     _, after = drive(batch, v, jnp.zeros((8, 40)))
     # The first steps from a stand turn it by about a tenth of a radian: look at the last three
     # seconds, from the heading it then has.
@@ -58,7 +59,7 @@ def test_it_walks_where_it_is_told(env, batch, drive):
     heading = pose[:, 9, 2]
     ahead = moved[:, 0] * jnp.cos(heading) + moved[:, 1] * jnp.sin(heading)
     aside = moved[:, 1] * jnp.cos(heading) - moved[:, 0] * jnp.sin(heading)
-    np.testing.assert_allclose(ahead, 0.6, atol=0.03)
+    np.testing.assert_allclose(ahead, 0.36, atol=0.03)
     np.testing.assert_allclose(aside, 0, atol=0.05)
     omega = jnp.full((8, 40), -1.0)
     _, after = drive(batch, 0 * v, omega)
@@ -80,10 +81,19 @@ def test_observation_is_measured_from_capture_point_and_centre(env):
     assert seen.theta_obstacle == pytest.approx(np.pi / 2, abs=5e-3)
 
 
-def test_a_fall_is_final_and_finite(env, batch, drive):
-    # No gait can walk at three metres a second.
-    v = jnp.concatenate([jnp.full((8, 30), 3.0), jnp.zeros((8, 10))], axis=1)
-    _, after = drive(batch, v, jnp.zeros((8, 40)))
+def test_a_fall_is_final_and_finite(env, batch):
+    # Thrown over its side.
+    def one(scene):
+        start = env.reset(scene)
+        thrown = start._replace(qvel=start.qvel.at[3].set(12.0).at[2].set(0.5))
+
+        def control_step(state, _):
+            new = env.step(state, Command(0.1, 0.0))
+            return new, new
+
+        return jax.lax.scan(control_step, thrown, length=40)[1]
+
+    after = jax.jit(jax.vmap(one))(batch)
     fallen = np.asarray(after.fallen)
     assert fallen[:, -1].all()
     assert np.all(np.diff(fallen.astype(int), axis=1) >= 0)
@@ -93,9 +103,15 @@ def test_a_fall_is_final_and_finite(env, batch, drive):
     assert jax.vmap(env.failed)(jax.tree.map(lambda x: x[:, -1], after)).all()
 
 
+def test_the_dog_keeps_to_its_servos_speed(env, batch, drive):
+    _, after = drive(batch, jnp.full((8, 40), 0.15), jnp.full((8, 40), 0.3))
+    most = env.dt * SPEED * (1 + 1e-4)
+    assert np.all(np.abs(np.diff(after.set_points, axis=1)) <= most)
+
+
 def test_a_dog_with_numbers_that_are_none_has_fallen(env, batch):
     state = env.reset(jax.tree.map(lambda x: x[0], batch))
-    broken = env.accept(state, state.qpos * jnp.nan, state.qvel, state.phase, state.stride)
+    broken = env.accept(state, state.qpos * jnp.nan, state.qvel, state.phase, *state[3:5])
     assert broken.fallen
     assert np.isfinite(broken.qpos).all()
 
@@ -103,12 +119,12 @@ def test_a_dog_with_numbers_that_are_none_has_fallen(env, batch):
 def test_balls_roll_and_obstacles_walk(env):
     one = jax.tree.map(lambda x: x[0], scenes.moving_ball(jax.random.key(1), 1))
     state = env.reset(one)
-    new = env.accept(state, state.qpos, state.qvel, state.phase, state.stride)
+    new = env.accept(state, state.qpos, state.qvel, state.phase, *state[3:5])
     moved = np.hypot(new.ball.x - state.ball.x, new.ball.y - state.ball.y)
     assert moved == pytest.approx(0.1 * np.hypot(*one.ball_velocity), rel=0.1)
     one = jax.tree.map(lambda x: x[0], scenes.moving_obstacles(jax.random.key(1), 1))
     state = env.reset(one)
-    new = env.accept(state, state.qpos, state.qvel, state.phase, state.stride)
+    new = env.accept(state, state.qpos, state.qvel, state.phase, *state[3:5])
     assert new.discs[0].x != state.discs[0].x
 
 
@@ -117,14 +133,17 @@ def test_options_are_checked():
         make(legs=5)
     with pytest.raises(ValueError, match="v_max = 3"):
         make(v_max=3.0)
-    with pytest.raises(ValueError, match=r"dt = 0\.015"):
-        make(dt=0.015)
+    with pytest.raises(ValueError, match=r"dt = 0\.0125"):
+        make(dt=0.0125)
     assert make(dt=0.05).dt == pytest.approx(0.05)
+    with pytest.raises(ValueError, match=r"servo_speed = 0\.0"):
+        make(servo_speed=0.0)
+    assert make().limits.v_max == 0.15  # its own, not the kinematic world's
     assert make(v_max=0.25).limits.v_max == 0.25
 
 
 def test_batches_agree_with_single_trials(env, batch, drive):
-    v, omega = jnp.full((8, 20), 0.15), jnp.full((8, 20), 0.5)
+    v, omega = jnp.full((8, 20), 0.12), jnp.full((8, 20), 0.5)
     _, together = drive(batch, v, omega)
     first = jax.tree.map(lambda x: x[:1], batch)
     _, alone = drive(first, v[:1], omega[:1])
@@ -140,6 +159,7 @@ def test_making_the_world_does_not_start_jax():
     code = """
 from jax._src import xla_bridge
 from envs.quadruped import make
+from envs.quadruped.locomotion import SPEED
 make()
 print(xla_bridge.backends_are_initialized())
 """

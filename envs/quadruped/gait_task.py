@@ -1,0 +1,145 @@
+"""The walk as a learning problem: genes, fitness and judgement, pure functions.
+
+Fitness wants a walk that follows its commands with joints that stay within Sony's speeds, at
+little torque and power, that goes on walking on a slippery carpet and with weak servos, and that
+does not fall when commands jump.
+"""
+
+import dataclasses
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from envs.quadruped import measure
+from envs.quadruped.environment import Quadruped
+from envs.quadruped.locomotion import Gait, as_number, slip_terms
+from envs.quadruped.rigid_body import Variation
+
+
+class Gene(NamedTuple):
+    """A gene: name (a field of `Gait`), unit, least and largest value."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+
+
+GENES = (
+    Gene("period", "s", 0.30, 0.90),
+    Gene("duty", "1", 0.50, 0.75),
+    Gene("lift", "m", 0.006, 0.030),
+    Gene("ramp", "1", 0.10, 0.50),
+    Gene("height", "m", 0.075, 0.120),
+    Gene("tilt", "m", -0.020, 0.020),
+    Gene("fore_x", "m", -0.030, 0.060),
+    Gene("hind_x", "m", -0.060, 0.030),
+    Gene("fore_y", "m", 0.0, 0.030),
+    Gene("hind_y", "m", 0.0, 0.030),
+    Gene("gain_x", "1", 0.8, 1.6),
+    Gene("gain_y", "1", 0.8, 1.6),
+    Gene("gain_omega", "1", 0.8, 1.6),
+    Gene("full_lift", "m/s", 0.010, 0.150),
+)
+
+# v_x, v_y (m/s), omega (rad/s), inside the ellipsoid of `measure.RANGE`.
+TRAIN = np.array(
+    [[v, 0, 0] for v in (0.05, 0.10, 0.15, -0.06, -0.15)]
+    + [[0, 0.08, 0], [0, -0.04, 0], [0, 0, 0.5], [0, 0, -1.0], [0.10, 0, 0.7]]
+    + [[0.08, 0.05, -0.5], [-0.08, 0, 0.6]],
+    np.float32,
+)
+# Judged on: other commands, in the ellipsoid and on its surface.
+TABLE = np.array(
+    [[v, 0, 0] for v in (0.03, 0.06, 0.09, 0.12, 0.15, -0.05, -0.10, -0.15)]
+    + [[0, v, 0] for v in (0.04, 0.08, -0.04, -0.08)]
+    + [[0, 0, w] for w in (0.25, 0.5, 0.75, 1.0, -0.25, -0.5, -0.75, -1.0)]
+    + [[0.05, 0, 0.9], [0.10, 0, -0.7], [0.13, 0, 0.45], [0.14, 0, -0.3], [-0.10, 0, 0.7]]
+    + [[0.10, 0.05, 0], [0.10, -0.03, 0.6], [0.06, 0.06, -0.5], [-0.06, -0.05, 0.6]],
+    np.float32,
+)
+# Along the axes, for calibrating.
+ALONG = np.array(
+    [[v, 0, 0] for v in (0.02, 0.045, 0.075, 0.105, 0.135, 0.16, -0.03, -0.075, -0.12, -0.16)]
+    + [[0, v, 0] for v in (0.03, 0.06, 0.085, -0.03, -0.06, -0.085)]
+    + [[0, 0, w] for w in (0.15, 0.35, 0.6, 0.85, 1.05, -0.15, -0.35, -0.6, -0.85, -1.05)],
+    np.float32,
+)
+HARD = np.array([[0.15, 0, 0], [0, 0, 1.0]], np.float32)
+SECONDS = 5.0
+
+
+def gait_of(base: Gait, theta: Float[Array, " genes"]) -> Gait:
+    """A gait from genes in (-5, 5): linear in the ranges of `GENES`."""
+    share = (theta + 5) / 10
+    values = {g.name: g.low + share[n] * (g.high - g.low) for n, g in enumerate(GENES)}
+    return dataclasses.replace(base, **values)
+
+
+def init(key) -> tuple:
+    """No memory."""
+    del key
+    return ()
+
+
+def fitness(
+    env: Quadruped, key, theta: Float[Array, "P genes"], memory=(), progress=0.0
+) -> tuple[Float[Array, " P"], tuple]:
+    """10 / (0.1 + cost) of each genome; see `cost`."""
+    del progress
+    costs = jax.vmap(lambda t: cost(dataclasses.replace(env, gait=gait_of(env.gait, t)), key))
+    return 10 / (0.1 + costs(theta)), memory
+
+
+def cost(env: Quadruped, key) -> Float[Array, ""]:
+    """What is wrong with the walk: errors in units of the tolerances 0.012 m/s and 0.05 rad/s; the
+    time that joints are above 1.2 times Sony's speed in per cent, and set-points at their limit in
+    tens of per cent; torque above 1 N m and power in units of 5 W; speed lost on a carpet with
+    friction 0.6 and, separately, with 0.7 of the servos' gain in units of 20 %; a fall 20.
+    """
+    steps = round(SECONDS / env.dt)
+    commands, num = jnp.asarray(TRAIN), len(TRAIN)
+    jumps = measure.random_sequences(key, 2, steps)
+    held = jnp.concatenate(
+        [jnp.repeat(jnp.concatenate([commands, HARD, HARD])[:, None], steps, axis=1), jumps]
+    )
+    hard = len(HARD)
+    friction = jnp.asarray([1.0] * num + [0.6] * hard + [1.0] * (hard + 2))
+    gain = jnp.asarray([1.0] * (num + hard) + [0.7] * hard + [1.0] * 2)
+
+    def one(held, friction, gain):
+        return measure.walk(dataclasses.replace(env, variation=Variation(friction, gain)), held)
+
+    walks = jax.vmap(one)(held, friction, gain)
+    v, omega = measure.errors(jax.tree.map(lambda x: x[:num], walks), commands)
+    too_fast = jnp.max(jnp.mean(walks.speed > 1.2, axis=(1, 2)), axis=-1)
+    got = walks.velocity[num : num + 2 * hard] / jnp.asarray(measure.RANGE)
+    share = jnp.stack([got[0, 0], got[1, 2], got[2, 0], got[3, 2]])
+    cost = jnp.mean(v / 0.012 + omega / 0.05) + 0.3 * jnp.max(v / 0.012 + omega / 0.05)
+    cost += jnp.mean(too_fast[:num]) / 0.01 + jnp.mean(walks.clipped[:num]) / 0.1
+    cost += jnp.mean(jax.nn.relu(walks.torque[:num] - 1.0)) / 0.1
+    cost += jnp.mean(walks.power[:num]) / 5.0 + jnp.mean(walks.swing[:num]) / 0.03
+    cost += jnp.mean(jax.nn.relu(0.9 - share)) / 0.2
+    return cost + jnp.mean(20.0 * walks.fallen + 10 * jax.nn.relu(0.95 - walks.upright))
+
+
+def judge(env: Quadruped, commands=TABLE) -> measure.Track:
+    """Walks of the commands that no gait was evolved on.  Leaves [commands]."""
+    return jax.jit(partial(measure.steady, commands=commands))(env)
+
+
+def calibrate(env: Quadruped, key) -> Gait:
+    """The gait with the calibration under which it walks as commanded: what it was asked for,
+    as a linear function of what came out (least squares over 60 commands drawn from the key and
+    `ALONG`)."""
+    gait = dataclasses.replace(env.gait, calibration=Gait().calibration)
+    asked = np.concatenate([measure.random_sequences(key, 60, 1)[:, 0], ALONG])
+    walks = measure.steady_native(dataclasses.replace(env, gait=gait), asked, "lean")
+    up = ~np.asarray(walks.fallen)
+    terms = slip_terms(*np.asarray(walks.velocity, float)[up].T, np)
+    rows = [np.linalg.lstsq(np.stack(t, 1), asked[up, n])[0] for n, t in enumerate(terms)]
+    return dataclasses.replace(gait, calibration=as_number(np.round(rows, 4)))
