@@ -3,7 +3,7 @@
     python -m experiments.benchmark_quadruped [--impls structured native] [--batches 1 60 240]
 
 One row a back end and batch: compile time, steps a second (best of three) and what the paper's
-generation (60 genomes x 4 starts x 220 control steps of 10) takes at that rate.  Stock MJX needs
+generation (60 genomes x 4 starts x 220 control steps of 25) takes at that rate.  Stock MJX needs
 FNTG_XLA_FLAGS=off, the structured step needs the flags: two runs.  On a GPU:
 
     python -m experiments.benchmark_quadruped --impls jax warp structured --batches 240 4096 65536
@@ -23,7 +23,7 @@ from experiments import script
 from fntg_jax.commands.cli import refuse
 from fntg_jax.running import xla
 
-GENERATION = 60 * 4 * 220 * 10  # physics steps
+GENERATION = 60 * 4 * 220 * 25  # physics steps
 
 
 @dataclasses.dataclass(frozen=True)

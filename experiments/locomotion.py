@@ -103,7 +103,7 @@ def table(env, variant: str = "lean") -> tuple[list[dict[str, float]], dict[str,
         share = float(np.max(np.mean(np.asarray(flat) > 1.2, axis=0)))
         whole |= {
             "joint_speed_ratio_p99": round(
-                float(measure.speed_ratio(walks._replace(speed=flat[None, None]))), 4
+                float(measure.speed_ratio(walks._replace(speed=flat[None]))), 4
             ),
             "share_above_1.2": round(share, 5),
             "torque_max": round(float(walks.torque.max()), 3),

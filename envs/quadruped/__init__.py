@@ -14,14 +14,14 @@ from envs.field import FIELD
 
 # Option -> (least, largest) value.
 _LIMITS = {"v_min": (-0.3, 0.3), "v_max": (0.001, 0.3), "omega_max": (0.01, 2.0)}
-_OTHER = {"dt": (0.005, 1), "ball_deceleration": (0, 10), "servo_speed": (0.1, 100)}
+_OTHER = {"dt": (0.004, 1), "ball_deceleration": (0, 10), "servo_speed": (0.1, 100)}
 # What the shipped walk follows within its tolerances on its servos (docs/quadruped.md).
 OWN = {"v_min": 0.0, "v_max": 0.15, "omega_max": 1.0}
-_TIMESTEP = 0.005  # s, of physics
+_TIMESTEP = 0.004  # s, of physics
 
 
 def make(impl: str = "structured", /, **options: float) -> Any:
-    """A `Quadruped` from flat options by name: dt (a multiple of 5 ms); v_min, v_max, omega_max;
+    """A `Quadruped` from flat options by name: dt (a multiple of 4 ms); v_min, v_max, omega_max;
     ball_deceleration; servo_speed (how fast set-points may move; 1: Sony's joint speeds).
 
     impl: structured, jax or warp.  Raises ValueError naming the option, its value and the

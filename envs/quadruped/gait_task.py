@@ -140,6 +140,7 @@ def calibrate(env: Quadruped, key) -> Gait:
     asked = np.concatenate([measure.random_sequences(key, 60, 1)[:, 0], ALONG])
     walks = measure.steady_native(dataclasses.replace(env, gait=gait), asked, "lean")
     up = ~np.asarray(walks.fallen)
-    terms = slip_terms(*np.asarray(walks.velocity, float)[up].T, np)
+    v, v_y, omega = np.asarray(walks.velocity, float)[up].T
+    terms = slip_terms(v, v_y, omega, np)
     rows = [np.linalg.lstsq(np.stack(t, 1), asked[up, n])[0] for n, t in enumerate(terms)]
     return dataclasses.replace(gait, calibration=as_number(np.round(rows, 4)))

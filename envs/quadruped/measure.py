@@ -136,7 +136,7 @@ def speed_ratio(walks: Track) -> Float[Array, "..."]:
     return jnp.max(jnp.quantile(flat, 0.99, axis=-2), axis=-1)
 
 
-def native_walks(env: Quadruped, commands: Float[Array, "W N 3"], variant: str) -> Track:
+def native_walks(env: Quadruped, commands: np.ndarray, variant: str) -> Track:
     """Walks in MuJoCo's C code, lean or full (ball in a corner).  Joint speeds are not recorded."""
     from envs.quadruped import native
 

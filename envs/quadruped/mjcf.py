@@ -30,7 +30,7 @@ _WALLS = ("wall_front", "wall_back", "wall_left", "wall_right")
 def mjcf(
     variant: str = LEAN,
     *,
-    timestep: float = 0.005,
+    timestep: float = 0.004,
     iterations: int = 1,
     ls_iterations: int = 8,
     num_obstacles: int = 2,

@@ -67,7 +67,8 @@ def run(
     """Drive a batch of scenes.  control: (observation, leaves [scenes]; index of the control
     step) -> command, jitted here.
 
-    poses: how many a control step are kept in `path`; a divisor of the solver's substeps.
+    poses: how many a control step are kept in `path`, evenly, to the
+    nearest timestep.
     The full variant takes each obstacle's radius into the model, so that it is compiled once a
     scene.  A dog that has fallen goes on being simulated, but what is judged is the state from
     before the fall, as in the environment; numbers that blow up are caught.
@@ -112,7 +113,7 @@ def run(
     size = mujoco.mj_stateSize(model, _PHYSICS)
     seen, record = measure(state), []
     commands, paths = [], []
-    every = env.solver.substeps // poses
+    kept = np.round(np.arange(1, poses + 1) * env.solver.substeps / poses).astype(int) - 1
     with mujoco_rollout.Rollout(nthread=num_threads) as pool:
         for n in range(num_steps):
             record.append(_row(seen, qpos, state))
@@ -137,7 +138,7 @@ def run(
             path, _ = pool.rollout(
                 models if full else model, datas, initial, inputs, control_spec=int(_INPUT)
             )
-            paths.append(path[:, every - 1 :: every, 1 : 1 + model.nq].swapaxes(0, 1))
+            paths.append(path[:, kept, 1 : 1 + model.nq].swapaxes(0, 1))
             end = path[:, -1]
             qpos = end[:, 1 : 1 + model.nq].copy()
             qvel = end[:, 1 + model.nq : 1 + model.nq + model.nv].copy()

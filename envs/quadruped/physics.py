@@ -40,8 +40,8 @@ class Solver:
     """
 
     impl: str = "structured"
-    timestep: float = 0.005
-    substeps: int = 20
+    timestep: float = 0.004
+    substeps: int = 25
     iterations: int = 1
     ls_iterations: int = 8
 

@@ -33,9 +33,7 @@ class FullFilm:
             _need_display()
         else:
             _renderer(scene_model(np.asarray(scenes.obstacles[0])), 16, 16).close()
-        substeps = env.solver.substeps
-        wanted = max(1, round(env.dt / _FRAME_SECONDS))
-        poses = max(n for n in range(1, wanted + 1) if substeps % n == 0)
+        poses = max(1, round(env.dt / _FRAME_SECONDS))
         run = native.run(
             env, scenes, lambda seen, _: jax.vmap(control)(seen), mjcf.FULL, poses=poses
         )

@@ -133,9 +133,9 @@ def test_options_are_checked():
         make(legs=5)
     with pytest.raises(ValueError, match="v_max = 3"):
         make(v_max=3.0)
-    with pytest.raises(ValueError, match=r"dt = 0\.0125"):
-        make(dt=0.0125)
-    assert make(dt=0.05).dt == pytest.approx(0.05)
+    with pytest.raises(ValueError, match=r"dt = 0\.05"):
+        make(dt=0.05)
+    assert make(dt=0.08).dt == pytest.approx(0.08)
     with pytest.raises(ValueError, match=r"servo_speed = 0\.0"):
         make(servo_speed=0.0)
     assert make().limits.v_max == 0.15  # its own, not the kinematic world's

@@ -103,7 +103,7 @@ def test_the_ball_runs_out_in_mujoco_as_on_the_kinematic_field():
 
 def test_the_table_is_json_for_machines(capsys, monkeypatch):
     monkeypatch.setattr(gait_task, "TABLE", gait_task.TABLE[3:4])
-    monkeypatch.setattr(locomotion, "FINE", 0.0025)
+    monkeypatch.setattr(locomotion, "FINE", 0.002)
     locomotion.main(["table", "--variant", "full", "--json"])
     found = json.loads(capsys.readouterr().out)
     assert found["falls"] == 0 and 0.97 < found["step_ratio"] < 1.03

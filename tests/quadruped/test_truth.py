@@ -18,7 +18,7 @@ from envs.quadruped import dynamics, physics, rigid_body  # noqa: E402
 from envs.quadruped.locomotion import SPEED, limit, load_gait, set_points  # noqa: E402
 from envs.quadruped.physics import Solver  # noqa: E402
 
-CONTROL_STEPS, SUBSTEPS = 220, 20
+CONTROL_STEPS, SUBSTEPS = 220, 25
 ROOT = Path(__file__).parents[2]
 
 
@@ -28,7 +28,7 @@ def model():
 
 
 def open_loop_set_points(walks=3):
-    """Set-points [walks, 4400, 12] of strides that change every two seconds."""
+    """Set-points [walks, 5500, 12] of strides that change every two seconds."""
     gait = load_gait()
     ticks = np.arange(CONTROL_STEPS * SUBSTEPS)
     rng = np.random.default_rng(0)
@@ -48,7 +48,7 @@ def open_loop_set_points(walks=3):
 
 
 def native(model, start, points):
-    """Coordinates [4400, 19] of one walk in C."""
+    """Coordinates [5500, 19] of one walk in C."""
     data = mujoco.MjData(model)
     data.qpos[:] = start
     path = []
@@ -71,7 +71,7 @@ def deviation(path, truth):
 
 
 def simulate(step, start, points):
-    """Coordinates [walks, 4400, 19] by one of our steps."""
+    """Coordinates [walks, 5500, 19] by one of our steps."""
 
     def one(points):
         def substep(carry, ctrl):
