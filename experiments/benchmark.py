@@ -24,7 +24,8 @@ import numpy as np
 import tyro
 
 from experiments.baselines import jobs, plain_numpy
-from experiments.baselines.jobs import Contestant, Job, Scenes
+from experiments.baselines.job import POPULATION, TRIALS, Job, Scenes
+from experiments.baselines.jobs import Contestant
 from experiments.baselines.worker import Worker
 
 
@@ -38,7 +39,7 @@ class Options:
     """folder for growth.csv, growth.png and growth.pdf."""
 
 
-def scenes(num: int = jobs.TRIALS) -> Scenes:
+def scenes(num: int = TRIALS) -> Scenes:
     """The paper suite, its four starts repeated."""
     from envs import scenes as suites
 
@@ -246,7 +247,7 @@ def main() -> None:
     workers = start(jobs.GENERATION)
     agree(workers, 200 if quick else 1000)
     where = scenes()
-    small = Job(where, genomes(jobs.POPULATION))
+    small = Job(where, genomes(POPULATION))
     compare("the paper's generation, 60 x 4 trials", workers, small, 2 if quick else 10, True)
     large = Job(where, genomes(1000))
     compare("a batch of 1000 x 4 trials", workers, large, 2 if quick else 10, True)

@@ -83,14 +83,21 @@ def paper_trials(options: Options, starts: slice) -> Trials:
     final = history.best[:, -1]
     index = int(np.argsort(final)[(len(final) - 1) // 2])
     theta = jnp.asarray(runner.decode_history(history, run.config)[index, -1])
-    scenes = run.world.suites["paper"](jax.random.key(0), 4)
+    world, layout, env = run.problem.world, run.problem.layout, run.problem.env
+    scenes = world.suites["paper"](jax.random.key(0), 4)
     scenes = jax.tree.map(lambda x: x[starts], scenes)
-    params = expand_scalars(run.layout, theta)
-    record = jax.jit(jax.vmap(lambda s: trajectory(params, s, run.env, output=run.config.output)))
+    params = expand_scalars(layout, theta)
+    record = jax.jit(jax.vmap(lambda s: trajectory(params, s, env, output=run.config.output)))
     seed = run.config.first_seed + index
     which = f"seed {seed}" + (f", the median of {len(final)}" if len(final) > 1 else "")
     title = f"best genome of generation {history.best.shape[1]}, F = {final[index]:.3g}\n({which})"
-    return Trials(record(scenes), run.world.field, run.env.limits, float(run.env.dt), title)
+    return Trials(
+        record(scenes),
+        world.field,
+        env.limits,
+        float(env.dt),
+        title,
+    )
 
 
 def write_csv(path: Path, header: str, columns: list[Any]) -> None:

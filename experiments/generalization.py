@@ -28,7 +28,7 @@ from fntg_jax import export
 from fntg_jax.controller.layout import HIGH, LOW, get_layout
 from fntg_jax.files import write_atomically
 from fntg_jax.learning import gradient
-from fntg_jax.running import evaluation, run_folder, runner, settings, xla
+from fntg_jax.running import controllers, evaluation, registry, runner, settings, xla
 from fntg_jax.running.settings import TrainConfig
 from fntg_jax.showing import plots
 
@@ -114,14 +114,14 @@ def evolved(config: TrainConfig, seeds: int) -> Iterator[tuple[int, float, expor
     result = run.conclude()
     seconds = (time.perf_counter() - begin) / seeds
     for seed in range(config.first_seed, config.first_seed + seeds):
-        yield seed, seconds, run_folder.controller(run, seed, result)
+        yield seed, seconds, controllers.of_run(run, seed, result)
 
 
 def descended(options: Options) -> Iterator[tuple[int, float, export.Controller]]:
     """Gradient descent from random starts, on the scenes of the preset robust."""
     config = settings.PRESETS["robust"]
-    world, layout = settings.get_world(config.env), get_layout(config.layout)
-    env, suite = world.make(**config.env_options), settings.get_suite(world, config.suite)
+    world, layout = registry.get_world(config.env), get_layout(config.layout)
+    env, suite = world.make(**config.env_options), registry.get_suite(world, config.suite)
     problem = gradient.smooth_problem(layout, env, suite, config.num_scenes, config.output)
     optimiser = gradient.optimiser("adam", options.gradient_steps, 0.03)
 
@@ -143,7 +143,7 @@ def judge(name: str, method: Method, options: Options, done: Callable[[Row], Non
     """Run a method and judge every seed as it ends."""
     rows = []
     for seed, seconds, controller in method():
-        world = settings.get_world("kinematic")
+        world = registry.get_world("kinematic")
         success = tuple(
             evaluation.evaluate(controller, world, suite, options.scenes).rates["success"].share
             for suite in evaluation.held_out_suites(world)
@@ -199,7 +199,7 @@ def run(options: Options) -> tuple[list[Row], list[Row]]:
 
 
 def suites() -> list[str]:
-    return evaluation.held_out_suites(settings.get_world("kinematic"))
+    return evaluation.held_out_suites(registry.get_world("kinematic"))
 
 
 def write_csv(path: Path, rows: list[Row]) -> None:

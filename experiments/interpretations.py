@@ -31,7 +31,7 @@ from fntg_jax.learning.fitness import PaperWeights, paper_fitness
 from fntg_jax.learning.ga import GAConfig
 from fntg_jax.learning.rollout import rollout_pairs
 from fntg_jax.running import evaluation, xla
-from fntg_jax.running.settings import get_world
+from fntg_jax.running.registry import get_world
 from fntg_jax.showing import plots
 
 SUITES = ("open", "blocked")

@@ -26,7 +26,7 @@ from experiments import script
 from fntg_jax.controller.layout import get_layout
 from fntg_jax.learning import fitness
 from fntg_jax.learning.rollout import rollout_pairs
-from fntg_jax.running import evaluation, runner, settings, xla
+from fntg_jax.running import evaluation, registry, runner, settings, xla
 from fntg_jax.showing import plots
 
 SUITES = ("open", "blocked")
@@ -120,7 +120,7 @@ def run(options: Options) -> Results:
     robust = settings.PRESETS["robust"]
     assert (shipped.layout, shipped.output) == (get_layout(robust.layout), robust.output)
     theta = jnp.concatenate(thetas)
-    world = settings.get_world("kinematic")
+    world = registry.get_world("kinematic")
     scenes = [evaluation.held_out_scenes(world, suite, options.scenes) for suite in SUITES]
 
     @jax.jit

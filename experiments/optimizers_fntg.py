@@ -26,7 +26,8 @@ from fntg_jax.learning.fitness import PaperWeights, SmoothWeights
 from fntg_jax.learning.objective import Static, Traced, draw_scenes, score
 from fntg_jax.learning.rollout import rollout_pairs
 from fntg_jax.running import evaluation, xla
-from fntg_jax.running.settings import PRESETS, get_suite, get_world
+from fntg_jax.running.registry import get_suite, get_world
+from fntg_jax.running.settings import PRESETS
 
 SUITES = ("open", "blocked")
 STEPS = 220  # control steps a trial

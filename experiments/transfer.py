@@ -31,7 +31,7 @@ from fntg_jax.controller.layout import expand, get_layout
 from fntg_jax.learning import fitness, ga
 from fntg_jax.learning.rollout import Outcome, outcome_of, rollout_pairs
 from fntg_jax.running import evaluation, warmstart, xla
-from fntg_jax.running.settings import get_world
+from fntg_jax.running.registry import get_world
 from fntg_jax.showing import plots
 
 MIX = (("open", 0.5), ("blocked", 0.5))

@@ -93,7 +93,12 @@ def learn(
     from fntg_jax.running import learnt
 
     folder = None if out is None else Path(out)
-    return learnt.learn(learnt.configure(preset, options), folder, on_progress)
+    done = learnt.learn(learnt.configure(preset, options), folder, on_progress)
+    if folder is not None:
+        from fntg_jax.showing import plots
+
+        plots.fitness_curves(done.history, folder / "fig5.png", done.refined)
+    return done
 
 
 def train(
@@ -141,11 +146,11 @@ def evaluate(
 
     Raises ValueError on an unknown suite, world or option, or an unreadable file.
     """
-    from fntg_jax.running import evaluation, settings
+    from fntg_jax.running import evaluation, registry
 
     if isinstance(controller, (str, Path)):
         controller = load(controller)
-    world = settings.get_world(controller.env if env is None else env)
+    world = registry.get_world(controller.env if env is None else env)
     environment = evaluation.environment_for(controller, world, **(env_options or {}))
     return evaluation.evaluate(controller, world, suite, scenes, seed, environment)
 

@@ -27,7 +27,7 @@ import numpy as np
 from envs.base import Command, Scene
 from fntg_jax.learning.fitness import success
 from fntg_jax.learning.rollout import SAMPLE_STEPS, Outcome
-from fntg_jax.running import settings
+from fntg_jax.running import registry
 
 try:
     import gymnasium
@@ -294,11 +294,11 @@ def make(
     """
     if not 1 <= num_scenes <= 1_000_000:
         raise ValueError(f"num_scenes = {num_scenes}: allowed are 1 to 1000000")
-    world = settings.get_world(env)
+    world = registry.get_world(env)
     # The constant keeps the pool apart from the suites that controllers are judged on.
     key = jax.random.fold_in(jax.random.key(seed), 0x61A)
     environment = world.make(**(env_options or {}))
-    scenes = jax.tree.map(jnp.asarray, settings.get_suite(world, suite)(key, num_scenes))
+    scenes = jax.tree.map(jnp.asarray, registry.get_suite(world, suite)(key, num_scenes))
     if num_envs is None:
         return Bioa(environment, scenes)
     return BioaVector(environment, scenes, num_envs)

@@ -10,7 +10,7 @@ import pytest
 
 import fntg_jax
 from fntg_jax import export
-from fntg_jax.running import run_folder
+from fntg_jax.running import controllers, run_folder
 from tests.controllers import random_controller
 from tests.small_run import small_run
 
@@ -28,7 +28,7 @@ def test_train_writes_the_run_folder_it_is_asked_for():
     assert config["ga"]["mutation_rate"] == 0.001
     run = run_folder.restore(folder)
     assert run.done
-    assert export.dumps(fntg_jax.load(folder)) == export.dumps(run_folder.controller(run))
+    assert export.dumps(fntg_jax.load(folder)) == export.dumps(controllers.of_run(run))
 
 
 @pytest.mark.parametrize(

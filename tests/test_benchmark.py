@@ -5,7 +5,9 @@ import pytest
 
 from experiments import benchmark
 from experiments.baselines import jobs, plain_numpy
+from experiments.baselines.job import STEPS, Job
 from fntg_jax.controller.layout import LAYOUTS
+from fntg_jax.learning.rollout import EPISODE_STEPS
 from tests import reference
 from tests.examples import document
 
@@ -28,7 +30,7 @@ def judged():
             for t in range(4)
         ]
         right.append(reference.paper_fitness(trials))
-    return jobs.Job(scenes, theta), np.asarray(right)
+    return Job(scenes, theta), np.asarray(right)
 
 
 @pytest.mark.parametrize(
@@ -49,7 +51,7 @@ def test_numpy_in_float64_is_the_reference(judged):
 
 def test_c_shares_odd_work_among_threads():
     scenes, theta = benchmark.scenes(), benchmark.genomes(37)
-    one, two = (prepared(c, jobs.Job(scenes, theta))(0) for c in (jobs.C_1, jobs.C_2))
+    one, two = (prepared(c, Job(scenes, theta))(0) for c in (jobs.C_1, jobs.C_2))
     np.testing.assert_array_equal(one, two)
 
 
@@ -58,7 +60,7 @@ def test_c_shares_odd_work_among_threads():
 def test_learners_learn(contestant):
     """More generations find more, the same number again finds the same."""
     few, many, again = (
-        prepared(contestant, jobs.Job(benchmark.scenes(), generations=n))(7) for n in (2, 30, 30)
+        prepared(contestant, Job(benchmark.scenes(), generations=n))(7) for n in (2, 30, 30)
     )
     assert few < many == again
 
@@ -79,3 +81,7 @@ def test_growth_is_drawn(tmp_path):
     ]
     assert benchmark.write_growth(rows, tmp_path).stat().st_size > 10_000
     assert (tmp_path / "growth.csv").read_text().count("\n") == 7
+
+
+def test_a_trial_is_as_long_as_the_librarys():
+    assert STEPS == EPISODE_STEPS

@@ -12,7 +12,7 @@ from fntg_jax.controller.layout import expand
 from fntg_jax.learning import fitness
 from fntg_jax.learning.rollout import rollout_pairs
 from fntg_jax.running.evaluation import environment_for, held_out_scenes
-from fntg_jax.running.settings import get_world
+from fntg_jax.running.registry import get_world
 from tests.conftest import ROOT
 
 NUM_SCENES = 64

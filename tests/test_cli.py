@@ -44,7 +44,7 @@ def test_run_folder_is_complete_and_agrees_with_itself(finished):
         "metrics.csv",
         "history.npz",
         "params.json",
-        "environment.json",
+        "provenance.json",
         "checkpoint.npz",
         "fig5.png",
         "fig5.pdf",
@@ -69,7 +69,7 @@ def test_run_folder_is_complete_and_agrees_with_itself(finished):
     np.testing.assert_array_equal(controller.theta, history["best_theta"][champion, first])
     assert controller.provenance["seed"] == 5 + champion
     assert controller.provenance["fitness"] == pytest.approx(history["best"].max())
-    environment = json.loads((folder / "environment.json").read_text())
+    environment = json.loads((folder / "provenance.json").read_text())
     assert {"jax", "numpy", "python"} <= set(environment["versions"])
     assert environment["compile_seconds"] > 0
     assert environment["run_seconds"] > 0
@@ -311,10 +311,10 @@ def test_refusal_reaches_the_shell(fntg, tmp_path):
 @pytest.mark.slow
 def test_success_of_a_suite_is_counted_per_scene(finished):
     """`evaluate` in the library: shares are means over its own outcome."""
-    from fntg_jax.running import evaluation, settings
+    from fntg_jax.running import evaluation, registry
 
     _, folder = finished
-    controller, world = export.load(folder / "params.json"), settings.get_world("kinematic")
+    controller, world = export.load(folder / "params.json"), registry.get_world("kinematic")
     found = evaluation.evaluate(controller, world, "paper", 4)
     parts = success(found.outcome)
     for name in evaluation.PARTS:

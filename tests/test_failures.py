@@ -9,7 +9,7 @@ from PIL import Image
 from fntg_jax import export
 from fntg_jax.commands import cli
 from fntg_jax.learning.rollout import Outcome
-from fntg_jax.running import evaluation, settings, xla
+from fntg_jax.running import evaluation, registry, xla
 from fntg_jax.showing import failures, plots
 from tests.controllers import random_controller
 
@@ -44,7 +44,7 @@ def test_the_command_draws_the_first_failed_trials(tmp_path, capsys, monkeypatch
     image = np.asarray(Image.open(picture).convert("L"))
     assert image.shape[1] > 1000 and 0.001 < (image < 128).mean() < 0.5
     assert picture.with_suffix(".pdf").read_bytes()[:5] == b"%PDF-"
-    world = settings.get_world("kinematic")
+    world = registry.get_world("kinematic")
     result = evaluation.evaluate(random_controller(), world, "open", SCENES)
     failed = np.flatnonzero(~result.success)
     assert len(drawn) == min(failures.MOST, len(failed)) > 3
@@ -55,7 +55,7 @@ def test_the_command_draws_the_first_failed_trials(tmp_path, capsys, monkeypatch
 
 
 def test_nothing_failed(tmp_path):
-    controller, world = random_controller(), settings.get_world("kinematic")
+    controller, world = random_controller(), registry.get_world("kinematic")
     result = evaluation.evaluate(controller, world, "open", SCENES)
     perfect = {part: evaluation.wilson(SCENES, SCENES) for part in evaluation.PARTS}
     result = result._replace(success=np.ones(SCENES, bool), rates=perfect)

@@ -11,11 +11,11 @@ from PIL import Image
 
 from envs.base import Command, Observation
 from fntg_jax.commands import cli
-from fntg_jax.running import evaluation, settings, xla
+from fntg_jax.running import evaluation, registry, xla
 from fntg_jax.showing import film
 from tests.controllers import random_controller
 
-KINEMATIC = settings.get_world("kinematic")
+KINEMATIC = registry.get_world("kinematic")
 
 
 class FakeFilm(NamedTuple):
@@ -93,7 +93,7 @@ def replay(monkeypatch, tmp_path, capsys):
     export.save(controller, tmp_path / "one.json")
     monkeypatch.setattr(xla, "configure", lambda *args, **kwargs: None)
     worlds = {"kinematic": KINEMATIC, "filmed": WORLD}
-    monkeypatch.setattr(settings, "get_world", worlds.__getitem__)
+    monkeypatch.setattr(registry, "get_world", worlds.__getitem__)
     monkeypatch.chdir(tmp_path)
 
     def run(*arguments):

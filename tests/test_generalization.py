@@ -9,7 +9,7 @@ from PIL import Image
 
 from experiments import generalization
 from fntg_jax.learning import gradient
-from fntg_jax.running import evaluation, runner, settings
+from fntg_jax.running import evaluation, problem, runner, settings
 from tests.controllers import random_controller
 
 ROBUST = settings.PRESETS["robust"]
@@ -49,7 +49,7 @@ TINY = dataclasses.replace(
 
 @pytest.mark.slow
 def test_evolved_controllers_are_those_of_the_run(monkeypatch):
-    monkeypatch.setattr(runner, "_VALIDATION", 32)
+    monkeypatch.setattr(problem, "_VALIDATION", 32)
     found = list(generalization.evolved(TINY, 2))
     result = runner.train(dataclasses.replace(TINY, seeds=2)).conclude()
     assert [seed for seed, _, _ in found] == [0, 1]

@@ -7,7 +7,7 @@ import pytest
 # In a process of its own: the number of CPU devices is fixed when jax starts.
 PROGRAM = """
 import dataclasses, hashlib, json
-from fntg_jax.running import xla
+from fntg_jax.running import problem, xla
 xla.configure(num_cpu_devices=4)
 import jax
 from fntg_jax.running import settings, final_choice as choice, runner
@@ -19,7 +19,7 @@ def spread(seeds, counts, conclude):
         refine_steps=3, refine_scenes=32,
         ga=dataclasses.replace(config.ga, population=48),
     )
-    runner._VALIDATION, choice._SCREENING = 96, 64
+    problem._VALIDATION, choice._SCREENING = 96, 64
     devices = jax.devices()
     found = []
     for num in counts:
@@ -29,7 +29,7 @@ def spread(seeds, counts, conclude):
         refined = (result.theta, result.fitness, result.refined) if conclude else ()
         arrays = (*run.history(), *refined)
         digest = hashlib.sha256(b"".join(a.tobytes() for a in arrays)).hexdigest()
-        found.append((tuple(run.mesh.shape.values()), digest))
+        found.append((tuple(run.rows.mesh.shape.values()), digest))
     print(json.dumps(found))
 """
 

@@ -13,12 +13,12 @@ from PIL import Image
 
 from fntg_jax.commands import cli
 from fntg_jax.learning.fitness import success
-from fntg_jax.running import evaluation, run_folder, runner, settings
+from fntg_jax.running import controllers, evaluation, registry, run_folder, runner
 from fntg_jax.showing import replay
 from tests.controllers import random_controller
 from tests.small_run import small_run
 
-WORLD = settings.get_world("kinematic")
+WORLD = registry.get_world("kinematic")
 HOSTILE = "</script><script>alert(1)</script><b title='x'>&amp;\u2028 @DATA@"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
@@ -135,14 +135,14 @@ def folder_and_run():
 
 def test_controllers_of_generations(folder_and_run):
     folder, run = folder_and_run
-    best = run_folder.controller(run)
+    best = controllers.of_run(run)
     index = best.provenance["seed"] - 5
     theta = runner.decode_history(run.history(), run.config)
     for generation in (1, 2):
-        found = run_folder.controller_of_generation(folder, generation)
+        found = controllers.of_generation(folder, generation)
         np.testing.assert_array_equal(found.theta, theta[index, generation - 1].astype(float))
     with pytest.raises(ValueError, match="generation = 3: the run has 1 to 2"):
-        run_folder.controller_of_generation(folder, 3)
+        controllers.of_generation(folder, 3)
 
 
 def test_replay_command(folder_and_run, tmp_path, capsys):
@@ -182,4 +182,4 @@ def test_damaged_history_is_one_line(folder_and_run, tmp_path, damage):
     path = folder / "history.npz"
     path.write_bytes(path.read_bytes()[:-40] if damage is None else damage)
     with pytest.raises(ValueError, match=r"history\.npz: not the history of this run"):
-        run_folder.controller_of_generation(folder, 1)
+        controllers.of_generation(folder, 1)

@@ -38,7 +38,7 @@ def test_report(run_folder, capsys):
     ("name", "content", "message"),
     [
         ("config.json", "{", "not JSON"),
-        ("environment.json", "[1", "not JSON"),
+        ("provenance.json", "[1", "not JSON"),
         ("metrics.csv", None, "No such file"),
         ("params.json", "{}", "is a required property"),
         ("checkpoint.npz", None, "not finished"),

@@ -12,7 +12,7 @@ from fntg_jax.controller import genome
 from fntg_jax.controller.layout import get_layout
 from fntg_jax.learning import fitness, ga, objective
 from fntg_jax.learning.rollout import Outcome
-from fntg_jax.running import final_choice, runner, settings
+from fntg_jax.running import final_choice, problem, runner, settings
 
 
 def test_islands_do_not_mix():
@@ -82,7 +82,7 @@ def test_a_partition_starts_with_labels_that_divide_their_input():
 
 
 def test_the_final_controller_is_the_best_of_its_population_on_validation_scenes(monkeypatch):
-    monkeypatch.setattr(runner, "_VALIDATION", 64)
+    monkeypatch.setattr(problem, "_VALIDATION", 64)
     config = dataclasses.replace(
         settings.PRESETS["robust"],
         ga=dataclasses.replace(settings.PRESETS["robust"].ga, population=64),
@@ -96,7 +96,7 @@ def test_the_final_controller_is_the_best_of_its_population_on_validation_scenes
     result, again = run.conclude(), run.conclude()
     np.testing.assert_array_equal(result.theta, again.theta)
     scenes = run.validation
-    static, traced = run.config_static(), run.traced()
+    static, traced = run.problem.static, run.problem.traced()
     value = jax.jit(lambda theta: objective.score(static, traced, theta, scenes))
     for n in range(2):
         theta = genome.decode(run.state.bits[n], 15, True)
@@ -114,11 +114,11 @@ def test_the_first_look_at_a_population_is_on_every_suite_of_the_mix():
 
 def test_refinement_on_few_fixed_scenes_is_validated_on_others():
     config = settings.TrainConfig(suite="open", refine_steps=10)
-    run = runner.Run(config)
+    run = runner.Run(problem.resolve(config))
     assert len(run.scenes.start) == 4 and len(run.validation.start) == 2048
     assert not (np.asarray(run.scenes.start)[:, None] == run.validation.start).all(-1).any()
     # The paper has its four starts and no others.
-    run = runner.Run(dataclasses.replace(config, suite="paper"))
+    run = runner.Run(problem.resolve(dataclasses.replace(config, suite="paper")))
     assert run.validation is run.scenes
 
 
@@ -137,7 +137,7 @@ def barely_evolved(**options):
 
 
 def test_covariance_adaptation_continues_from_the_best_of_the_population(monkeypatch):
-    monkeypatch.setattr(runner, "_VALIDATION", 64)
+    monkeypatch.setattr(problem, "_VALIDATION", 64)
     config = barely_evolved(seeds=2, refine_steps=90, refine_top=2)
     plain = runner.train(dataclasses.replace(config, refine_steps=0)).conclude()
     shown = []
@@ -155,10 +155,9 @@ def test_covariance_adaptation_continues_from_the_best_of_the_population(monkeyp
 
 
 def test_validation_scenes_are_a_share_of_every_suite_and_not_trained_on(monkeypatch):
-    monkeypatch.setattr(runner, "_VALIDATION", 50)
-    run = runner.Run(
-        dataclasses.replace(barely_evolved(), suite="open:3,blocked:2", scene_pool=450)
-    )
+    monkeypatch.setattr(problem, "_VALIDATION", 50)
+    config = dataclasses.replace(barely_evolved(), suite="open:3,blocked:2", scene_pool=450)
+    run = runner.Run(problem.resolve(config))
     pool, held = (np.asarray(s.start) for s in (run.scenes, run.validation))
     assert pool.shape == (450, 3) and held.shape == (50, 3)
     assert not (pool[:, None] == held).all(axis=-1).any()
@@ -172,7 +171,7 @@ def test_validation_scenes_are_a_share_of_every_suite_and_not_trained_on(monkeyp
 
 @pytest.mark.slow
 def test_gradients_continue_from_the_best_of_the_population(monkeypatch):
-    monkeypatch.setattr(runner, "_VALIDATION", 64)
+    monkeypatch.setattr(problem, "_VALIDATION", 64)
     config = barely_evolved(refine_method="gradient", refine_steps=20, refine_rate=0.01)
     plain = runner.train(dataclasses.replace(config, refine_steps=0)).conclude()
     result = runner.train(config).conclude()

@@ -12,11 +12,11 @@ from envs.base import Limits, Observation
 from fntg_jax import export
 from fntg_jax.commands import cli
 from fntg_jax.controller import labels, layout
-from fntg_jax.running import evaluation, settings
+from fntg_jax.running import evaluation, registry
 from fntg_jax.showing import rules
 from tests.controllers import built_controller, random_controller
 
-WORLD = settings.get_world("kinematic")
+WORLD = registry.get_world("kinematic")
 NEAR_FAR = {"a_A1": -5, "c_A1": 0.5, "a_A2": 5, "c_A2": 0.5}
 
 

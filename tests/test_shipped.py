@@ -8,7 +8,7 @@ import pytest
 
 import fntg_jax
 from fntg_jax.commands import cli
-from fntg_jax.running import evaluation, settings
+from fntg_jax.running import evaluation, registry
 from tests import reference
 
 DOCUMENT = json.loads(fntg_jax.shipped("bioa").read_text())
@@ -16,7 +16,7 @@ DOCUMENT = json.loads(fntg_jax.shipped("bioa").read_text())
 
 @pytest.mark.parametrize("suite", ["open", "blocked"])
 def test_it_succeeds_on_unseen_scenes(suite):
-    scenes = evaluation.held_out_scenes(settings.get_world("kinematic"), suite, 100, seed=7)
+    scenes = evaluation.held_out_scenes(registry.get_world("kinematic"), suite, 100, seed=7)
     start, ball, obstacles = (np.asarray(x) for x in (scenes.start, scenes.ball, scenes.obstacles))
     trials = [reference.simulate(DOCUMENT, *scene) for scene in zip(start, ball, obstacles)]
     failed = [n for n, trial in enumerate(trials) if not all(reference.success(trial))]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fntg_jax.running import runner, settings, sweep
+from fntg_jax.running import controllers, problem, runner, settings, sweep
 from fntg_jax.showing import sweep_report
 
 TINY = dataclasses.replace(
@@ -45,15 +45,15 @@ def test_a_setting_equals_training_with_its_values(swept, n):
 
 
 def test_success_is_what_evaluate_counts(swept):
-    from fntg_jax.running import evaluation, run_folder
+    from fntg_jax.running import evaluation
 
     table, _ = swept
     config = sweep.apply(TINY, table.settings[6])
-    run = runner.Run(config)
+    run = runner.Run(problem.resolve(config))
     result = runner.Result(table.theta[6], table.best[6], None, None)
     for seed in (3, 4):
-        found = run_folder.controller(run, seed, result)
-        rate = evaluation.evaluate(found, run.world, "open", 50).rates["success"]
+        found = controllers.of_run(run, seed, result)
+        rate = evaluation.evaluate(found, run.problem.world, "open", 50).rates["success"]
         assert rate.share == pytest.approx(table.success["open"][6, seed - 3], abs=1e-6)
 
 
@@ -78,10 +78,10 @@ def test_what_is_static_takes_programs():
         "ga.gray": [False, True],
     }
     for name, values in axes.items():
-        configs = [sweep.apply(TINY, s) for s in sweep.grid({name: values})]
-        assert len(sweep.programs(configs)) == (1 if name == "ga.crossover_rate" else 2), name
+        found = sweep.problems(TINY, sweep.grid({name: values}))
+        assert len(sweep.programs(found)) == (1 if name == "ga.crossover_rate" else 2), name
     points = sweep.grid(axes)
-    groups = sweep.programs([sweep.apply(TINY, s) for s in points])
+    groups = sweep.programs(sweep.problems(TINY, points))
     assert [len(g) for g in groups] == [2] * 16
     assert sweep._split(points, groups) == (
         ": one is compiled for each ga.population x layout x generations x ga.gray"
@@ -117,9 +117,9 @@ def test_values_that_no_run_takes_are_refused_before_anything_runs():
         ({"layout": "paper-32"}, "paper-32"),
     ):
         with pytest.raises(ValueError, match=words):
-            sweep.configurations(TINY, [setting])
+            sweep.problems(TINY, [setting])
     with pytest.raises(ValueError, match="moon"):
-        sweep.configurations(TINY, [{}], ["moon"])
+        sweep.problems(TINY, [{}], ["moon"])
 
 
 def test_command_refuses_in_one_line(fntg, tmp_path):

@@ -12,7 +12,7 @@ import fntg_jax
 from fntg_jax import export
 from fntg_jax.commands import cli
 from fntg_jax.controller import genome
-from fntg_jax.running import run_folder, runner, settings, warmstart, xla
+from fntg_jax.running import config_file, problem, run_folder, runner, settings, warmstart, xla
 from tests.small_run import small_run
 
 CONFIG = dataclasses.replace(
@@ -34,18 +34,22 @@ def warm(source, **changes):
     return dataclasses.replace(CONFIG, warm_start=str(source), **changes)
 
 
+def start(config):
+    return runner.start(problem.resolve(config))
+
+
 def genes(config, state):
     bits = np.asarray(state.bits)[: config.seeds]
     return np.asarray(genome.decode(bits, config.ga.num_bits, config.ga.gray))
 
 
 def test_the_same_shape_takes_over_the_last_populations(source):
-    run = runner.start(warm(source))
+    run = start(warm(source))
     last = run_folder.restore(source).state
     np.testing.assert_array_equal(run.state.bits, last.bits)
     assert run.generation == 0 and run.origin == f"the populations of {source}"
     # All but the populations is that of a new run: its keys are not the old ones.
-    fresh = runner.Run(CONFIG).state
+    fresh = runner.Run(problem.resolve(CONFIG)).state
     assert (jax.random.key_data(run.state.key) == jax.random.key_data(fresh.key)).all()
     assert np.isneginf(run.state.best_fitness).all()
     # An elite on the same scenes: it goes on from where it was.
@@ -64,7 +68,7 @@ def test_the_same_shape_takes_over_the_last_populations(source):
 )
 def test_another_shape_takes_neighbours_of_the_best_controller(source, changes):
     config = warm(source, **changes)
-    run = runner.start(config)
+    run = start(config)
     theta, found = fntg_jax.load(source).theta, genes(config, run.state)
     assert "neighbours" in run.origin
     step = 10 / (2**config.ga.num_bits - 1)
@@ -78,18 +82,18 @@ def test_another_shape_takes_neighbours_of_the_best_controller(source, changes):
 def test_a_file_and_another_world(source):
     options = {"v_max": 0.25, "capture": 0.145}
     from_file = warm(source / "params.json", env_options=options)
-    found = genes(from_file, runner.start(from_file).state)
+    found = genes(from_file, start(from_file).state)
     np.testing.assert_allclose(found[:, 0], fntg_jax.load(source).theta[None].repeat(2, 0), 1e-4)
     from_run = warm(source, env_options=options)  # the populations fit in any world
     last = run_folder.restore(source).state.bits
-    np.testing.assert_array_equal(runner.start(from_run).state.bits, last)
+    np.testing.assert_array_equal(start(from_run).state.bits, last)
 
 
 def test_a_seed_does_not_depend_on_its_company(source):
     file = source / "params.json"
-    three = genes(warm(file, seeds=3), runner.start(warm(file, seeds=3)).state)
+    three = genes(warm(file, seeds=3), start(warm(file, seeds=3)).state)
     last = warm(file, seeds=1, first_seed=7)
-    np.testing.assert_array_equal(genes(last, runner.start(last).state)[0], three[2])
+    np.testing.assert_array_equal(genes(last, start(last).state)[0], three[2])
 
 
 def test_command_and_resume_after_the_source_is_gone(source, tmp_path, capsys, monkeypatch):
@@ -99,7 +103,7 @@ def test_command_and_resume_after_the_source_is_gone(source, tmp_path, capsys, m
     warm_start = ["--warm-start", str(source)]
     cli.main(["train", *small, *warm_start, "--out", str(whole)])
     assert f"starting from the populations of {source}" in capsys.readouterr().err
-    config = run_folder.load_config(whole)
+    config = config_file.load(whole)
     assert json.loads((whole / "config.json").read_text())["warm_start"] == str(source)
 
     # As `train` leaves it when it is killed before the first checkpoint of evolution.

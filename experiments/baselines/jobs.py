@@ -1,4 +1,4 @@
-"""What a contestant is asked to do, and the contestants by name.
+"""The contestants by name.
 
 Every contestant is a function of a job that prepares (compiles, allocates) and returns what is
 timed: a function of the repetition's number.
@@ -9,38 +9,11 @@ import importlib.util
 import shutil
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-POPULATION, TRIALS, STEPS, GENERATIONS = 60, 4, 220, 95
-
-
-class Scenes(NamedTuple):
-    """The scenes as NumPy arrays, for contestants that know no JAX: see `envs.base.Scene`."""
-
-    start: np.ndarray
-    ball: np.ndarray
-    obstacles: np.ndarray
-
-
-class Job(NamedTuple):
-    """theta: [P, 31] for a generation's fitness, None for a learning run of `generations` x 60
-    genomes, with `seeds` side by side (ours only)."""
-
-    scenes: Scenes
-    theta: np.ndarray | None = None
-    generations: int = GENERATIONS
-    seeds: int = 1
-
-    @property
-    def steps(self) -> int:
-        """Controller steps of one repetition."""
-        genomes = POPULATION * self.generations if self.theta is None else len(self.theta)
-        return genomes * len(self.scenes.start) * STEPS * self.seeds
-
-
-Run = Callable[[int], Any]
+from experiments.baselines.job import Job, Run
 
 
 def ours(job: Job) -> Run:
@@ -56,7 +29,7 @@ def ours(job: Job) -> Run:
     from jax.sharding import PartitionSpec as P
 
     from fntg_jax.learning import objective
-    from fntg_jax.running import runner, settings
+    from fntg_jax.running import problem, runner, settings
 
     config = dataclasses.replace(
         settings.PRESETS["paper"],
@@ -64,7 +37,7 @@ def ours(job: Job) -> Run:
         seeds=job.seeds,
         generations=job.generations,
     )
-    run = runner.Run(config)
+    run = runner.Run(problem.resolve(config))
     if job.theta is None:
         run.compile()
         start = run.state
@@ -78,10 +51,10 @@ def ours(job: Job) -> Run:
 
         return learn
     # Copied: the run's arrays lie on a mesh of its own.
-    copied = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)), (run.traced(), run.scenes))
+    copied = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)), (run.problem.traced(), run.scenes))
     traced, scenes = copied
     score = jax.shard_map(
-        lambda theta: objective.score(run.config_static(), traced, theta, scenes),
+        lambda theta: objective.score(run.problem.static, traced, theta, scenes),
         mesh=Mesh(np.asarray(jax.local_devices()), ("genome",)),
         in_specs=P("genome"),
         out_specs=P("genome"),

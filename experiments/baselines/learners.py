@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from experiments.baselines import plain_numpy
-from experiments.baselines.jobs import POPULATION, Job, Run
+from experiments.baselines.job import POPULATION, Job, Run
 
 GENES, BITS = 31, 15
 

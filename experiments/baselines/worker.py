@@ -7,7 +7,8 @@ import sys
 import time
 from typing import Any
 
-from experiments.baselines.jobs import Contestant, Job
+from experiments.baselines.job import Job
+from experiments.baselines.jobs import Contestant
 
 _LEAST = 0.02  # s; a timing is the mean of so many repetitions that it takes at least this long
 

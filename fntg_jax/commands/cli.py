@@ -108,9 +108,9 @@ def load_controller(path: Path, seed: int | None = None) -> Any:
 
     if seed is None:
         return fntg_jax.load(path)
-    from fntg_jax.running import run_folder
+    from fntg_jax.running import controllers
 
-    return run_folder.controller_of_seed(path, seed)
+    return controllers.of_seed(path, seed)
 
 
 if __name__ == "__main__":

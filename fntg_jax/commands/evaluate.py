@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from fntg_jax.commands.cli import load_controller, parse, say
-from fntg_jax.running import xla
+from fntg_jax.running import registry, xla
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,11 +40,11 @@ def main(argv: list[str]) -> None:
     if picture is not None and (picture.suffix != ".png" or not picture.parent.is_dir()):
         raise ValueError(f"failures = {picture}: allowed is a .png file in a folder that exists")
     xla.configure()
-    from fntg_jax.running import evaluation, settings
+    from fntg_jax.running import evaluation
 
     controller = load_controller(options.controller)
     name = options.env or controller.env
-    world = settings.get_world(name)
+    world = registry.get_world(name)
     if options.suite != "all" and options.suite not in world.suites:
         raise ValueError(f"suite = {options.suite!r}: known are all, {', '.join(world.suites)}")
     env = evaluation.environment_for(controller, world, **options.env_options)

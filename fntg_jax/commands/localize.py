@@ -8,7 +8,7 @@ import tyro
 
 from fntg_jax.commands.cli import parse, say
 from fntg_jax.files import write_atomically
-from fntg_jax.running import xla
+from fntg_jax.running import registry, xla
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,12 +37,12 @@ def main(argv: list[str]) -> None:
     if picture is not None and (picture.suffix != ".png" or not picture.parent.is_dir()):
         raise ValueError(f"plot = {picture}: allowed is a .png file in a folder that exists")
     xla.configure()
-    from fntg_jax.running import localize, settings
+    from fntg_jax.running import localize
 
     if options.map is not None:
         landmarks = localize.read_map(options.map)
     else:
-        field = settings.get_world("kinematic").field
+        field = registry.get_world("kinematic").field
         landmarks = {mark.name: (mark.x, mark.y) for mark in field.landmarks}
     truth = None if options.truth is None else localize.read_truth(options.truth)
     rows = localize.read_log(options.log, landmarks)

@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from fntg_jax.commands.cli import load_controller, parse
-from fntg_jax.running import xla
+from fntg_jax.running import registry, xla
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,11 +29,10 @@ def main(argv: list[str]) -> None:
     if not 1 <= len(options.controllers) <= 2:
         raise ValueError(f"{len(options.controllers)} controllers: allowed are one or two")
     xla.configure()
-    from fntg_jax.running import settings
     from fntg_jax.showing import plot_controller
 
     controllers = [(str(path), load_controller(path)) for path in options.controllers]
-    field = settings.get_world(options.env).field
+    field = registry.get_world(options.env).field
     for name in ("memberships", "surfaces"):
         path = options.out.with_name(f"{options.out.name}-{name}.png")
         try:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from fntg_jax.commands.cli import load_controller, parse, say
-from fntg_jax.running import xla
+from fntg_jax.running import registry, xla
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,11 +64,11 @@ def main(argv: list[str]) -> None:
 
     from fntg_jax import export
     from fntg_jax.learning import cma, gradient
-    from fntg_jax.running import evaluation, settings
+    from fntg_jax.running import evaluation
 
     controller = load_controller(options.controller)
-    world = settings.get_world(options.env)
-    suite = settings.get_suite(world, options.suite)
+    world = registry.get_world(options.env)
+    suite = registry.get_suite(world, options.suite)
     optimiser = gradient.optimiser(options.optimizer, options.steps, options.rate)
     by_gradient = options.method == "gradient"
     env = evaluation.environment_for(controller, world, **options.env_options)

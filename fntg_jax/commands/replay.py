@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import tyro
 
 from fntg_jax.commands.cli import load_controller, parse, say
-from fntg_jax.running import xla
+from fntg_jax.running import controllers, registry, xla
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,20 +45,19 @@ def main(argv: list[str]) -> None:
     if not options.controllers:
         raise ValueError("no controller given: name a params.json or a run folder")
     xla.configure()
-    from fntg_jax.running import run_folder, settings
 
     titled = []
     for path in options.controllers:
         folder = os.path.isdir(path)
         if options.generations and folder:
             titled += [
-                (f"{path.name}, generation {g}", run_folder.controller_of_generation(path, g))
+                (f"{path.name}, generation {g}", controllers.of_generation(path, g))
                 for g in options.generations
             ]
         else:
             titled.append((path.name if folder else str(path), load_controller(path)))
     trials = [
-        (title, controller, settings.get_world(options.env or controller.env))
+        (title, controller, registry.get_world(options.env or controller.env))
         for title, controller in titled
     ]
     num = len(trials) * len(options.scene)

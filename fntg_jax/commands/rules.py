@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from fntg_jax.commands.cli import load_controller, parse
-from fntg_jax.running import xla
+from fntg_jax.running import registry, xla
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,10 +33,9 @@ class RulesOptions:
 def main(argv: list[str]) -> None:
     options = parse(RulesOptions, argv, "rules")
     xla.configure()
-    from fntg_jax.running import settings
     from fntg_jax.showing import rules
 
     controller = load_controller(options.controller)
-    world = settings.get_world(options.env or controller.env)
+    world = registry.get_world(options.env or controller.env)
     base = rules.rule_base(controller, world, options.suite, options.scenes, options.seed)
     sys.stdout.write(rules.FORMATS[options.format](base))

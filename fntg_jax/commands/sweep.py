@@ -52,7 +52,7 @@ def main(argv: list[str]) -> None:
     if options.scenes < 1:
         raise ValueError(f"scenes = {options.scenes}: allowed are whole numbers from 1")
     folder = options.out or Path("runs") / f"sweep-{time.strftime('%Y%m%d-%H%M%S')}"
-    sweep.configurations(options.config, settings, options.suites)  # refuses what cannot run
+    sweep.problems(options.config, settings, options.suites)  # refuses what cannot run
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise ValueError(f"out = {folder}: exists already; choose a new folder")

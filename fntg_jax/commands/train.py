@@ -52,12 +52,12 @@ def main(argv: list[str]) -> None:
         if names - {f"--{x}" for x in _WITH_RESUME}:
             raise ValueError("--resume takes the run folder and no other option of training")
     xla.configure(num_cpu_devices=os.cpu_count() or 1)
-    from fntg_jax.running import hosts, run_folder, settings
+    from fntg_jax.running import hosts, problem, run_folder, runner
 
     if options.distributed:
         hosts.join(*meeting)
     if folder is None:
-        settings.validate(options.config)
+        resolved = problem.resolve(options.config)
         stamp = time.strftime("%Y%m%d-%H%M%S")
         folder = options.out or Path("runs") / f"{options.preset}-{stamp}"
 
@@ -67,23 +67,25 @@ def main(argv: list[str]) -> None:
 
         hosts.from_first(create)
     with hosts.together(f"continue with: fntg train --resume {folder}"):
+        if options.resume is not None:
+            _train(folder, run_folder.restore(folder), resumed=True)
+            return
         try:
-            _train(folder, options.resume is not None)
+            _train(folder, runner.start(resolved), resumed=False)
         except ValueError:
-            if options.resume is None:
-                run_folder.discard(folder)
+            run_folder.discard(folder)
             raise
 
 
 _WITH_RESUME = ("resume", "distributed", "coordinator", "num-processes", "process-id")
 
 
-def _train(folder: Path, resumed: bool) -> None:
+def _train(folder: Path, run: Any, resumed: bool) -> None:
     import jax
 
     from fntg_jax.running import hosts, run_folder
+    from fntg_jax.showing import plots
 
-    run = run_folder.restore(folder)
     if run.origin:
         # What it starts from may be gone when the run is resumed.
         run_folder.save_checkpoint(folder, run)
@@ -109,9 +111,11 @@ def _train(folder: Path, resumed: bool) -> None:
             what = ", then refining them" if config.refine_steps else ""
             say(f"choosing the controllers on validation scenes{what} ...")
         with progress_bar("refinement step") as show:
-            figure, result = run_folder.finish(
+            result = run_folder.finish(
                 folder, run, lambda done, total, best: show(done, total, f"best {best:.4g}")
             )
+        if hosts.is_first():
+            figure = plots.fitness_curves(run.history(), folder / "fig5.png", result.refined)
     except OSError as error:
         raise ValueError(f"{folder}: {error.strerror or error}") from None
     spread = f", median over seeds {np.median(result.fitness):.4g}" if config.seeds > 1 else ""

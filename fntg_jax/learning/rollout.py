@@ -19,6 +19,7 @@ from fntg_jax.controller import network
 from fntg_jax.controller.layout import Layout, Params, expand_scalars
 
 SAMPLE_STEPS = (170, 200, 220)  # paper: "data were collected during the 170-th, 200-th and 220-th"
+EPISODE_STEPS = SAMPLE_STEPS[-1]  # control steps of a trial
 
 
 class Outcome(NamedTuple):

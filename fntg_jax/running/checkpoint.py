@@ -8,7 +8,6 @@ import jax
 import numpy as np
 
 from fntg_jax.learning import ga
-from fntg_jax.running import hosts
 from fntg_jax.running.runner import History, Run
 
 _ARRAYS = (
@@ -29,9 +28,7 @@ _ARRAYS = (
 def to_arrays(run: Run) -> dict[str, np.ndarray]:
     """The run as named arrays, to be written; `from_arrays` continues bit for bit."""
     history = run.history()
-    # Without what the devices were filled up with.
-    state = run.state._replace(key=jax.random.key_data(run.state.key))
-    state = jax.tree.map(lambda x: hosts.gather(x)[: run.num_rows], state)
+    state = run.rows.gather(run.state._replace(key=jax.random.key_data(run.state.key)))
     return {
         "config": np.asarray(json.dumps(dataclasses.asdict(run.config), sort_keys=True)),
         "bits": np.packbits(state.bits, axis=-1),
@@ -65,13 +62,11 @@ def from_arrays(run: Run, arrays: dict[str, np.ndarray]) -> None:
         "best_bits": unpack("best_bits"),
         "best_fitness": arrays["best_fitness"],
     }
-    # Earlier versions wrote what the devices were filled up with, too.
-    saved = {name: x[: run.num_rows] for name, x in saved.items()}
 
     def to_state(x):
         return ga.State(**{**x, "key": jax.random.wrap_key_data(x["key"])})
 
-    run.state = run.place_rows(saved, to_state)
+    run.state = run.rows.place(saved, to_state)
     run.compile_seconds, run.run_seconds = map(float, arrays["seconds"])
     run.records = [
         History(

@@ -9,44 +9,66 @@ import jax.numpy as jnp
 import numpy as np
 
 from fntg_jax.controller import genome
-from fntg_jax.learning import cma
-from fntg_jax.learning.objective import draw_scenes, score
-from fntg_jax.running import hosts, memory, xla
-from fntg_jax.running.parallel import GENOME, over_seeds
+from fntg_jax.learning import cma, ga
+from fntg_jax.learning.objective import Static, Traced, draw_scenes, score
+from fntg_jax.running import xla
+from fntg_jax.running.parallel import GENOME, Rows, over_seeds
+from fntg_jax.running.problem import Problem
 
 _SCREENING = 256  # validation scenes for a first look at the whole population
 _FINALISTS = 16
 _VALIDATE_EVERY = 20  # steps of covariance adaptation
 
 
-class Chosen(NamedTuple):
-    """theta: [S, genes]; fitness: [S], on the validation scenes; row: [S], of the best of the last
-    population before refinement; refined: [S, n] fitness in the course of the refinement, or
-    None."""
+class Evolved(NamedTuple):
+    """What evolution came to, on the devices: states and traced floats of all rows, scenes of
+    training and of validation."""
+
+    problem: Problem
+    rows: Rows
+    state: ga.State
+    traced: Traced
+    scenes: Any
+    validation: Any
+
+
+class Result(NamedTuple):
+    """The controller of each seed, leading axis seed.
+
+    theta: [S, genes]; fitness: [S]; bits: the genomes, None after refinement; refined: [S, n]
+    fitness in the course of the refinement, None without.  Where all generations see the same
+    scenes this is the best genome of all generations; where scenes change, the individual of
+    the last population (or its refinement) that is best on validation scenes of their own.
+    """
 
     theta: np.ndarray
     fitness: np.ndarray
-    row: np.ndarray
+    bits: np.ndarray | None
     refined: np.ndarray | None
 
 
-def conclude(run: Any, show: Callable[[int, int, float], None]) -> Chosen:
-    """Choose and refine, for every seed of a `runner.Run`.
+def conclude(evolved: Evolved, show: Callable[[int, int, float], None]) -> Result:
+    """Choose and refine, for every seed.
 
     show: called with the steps of refinement done and wanted, and the best fitness so far (median
     over seeds).
     """
-    config, num, validation = run.config, run.num_rows, run.validation
-    choose = jax.jit(partial(_choose, config=config, static=run.config_static(), mesh=run.mesh))
-    arguments = run.state, run.floats, run.scenes, validation
-    found = _compiled(run, choose, arguments)(*arguments)
-    theta, value, row = (hosts.gather(x)[:num] for x in found)
+    config, rows = evolved.problem.config, evolved.rows
+    if config.scene_pool == 0 and config.refine_steps == 0:
+        bits, value = rows.gather((evolved.state.best_bits, evolved.state.best_fitness))
+        theta = genome.decode(bits, config.ga.num_bits, config.ga.gray)
+        return Result(np.asarray(theta), value, bits, None)
+    static = evolved.problem.static
+    choose = jax.jit(partial(_choose, config=config, static=static, mesh=rows.mesh))
+    arguments = evolved.state, evolved.traced, evolved.scenes, evolved.validation
+    theta, value, row = rows.gather(rows.compile(choose, arguments)(*arguments))
     if config.refine_steps == 0:
         fitness = np.where(np.isfinite(value), value, 0)  # what is not finite counts as 0
-        return Chosen(theta[:, 0], fitness[:, 0], row, None)
+        bits = rows.gather(evolved.state.bits)[np.arange(rows.num), row]
+        return Result(theta[:, 0], fitness[:, 0], bits, None)
     refine = {"gradient": _gradient, "cma": _cma}[config.refine_method]
-    theta, cost, history = refine(run, theta, 10 / value, show)
-    return Chosen(theta, 10 / cost, row, 10 / history)
+    theta, cost, history = refine(evolved, theta, 10 / value, show)
+    return Result(theta, 10 / cost, None, 10 / history)
 
 
 def _choose(state, floats, scenes, validation, *, config, static, mesh):
@@ -79,27 +101,20 @@ def _spread(x):
     return x[:: -(-len(x) // _SCREENING)]
 
 
-def _compiled(run, program, arguments):
-    """A jitted function compiled for these arguments, where memory will do."""
-    compiled = program.lower(*arguments).compile()
-    memory.check(compiled, len(run.mesh.local_devices))
-    return compiled
-
-
 def _best_first(value):
     return jnp.argsort(jnp.where(jnp.isfinite(value), -value, jnp.inf), axis=-1)
 
 
-# Refinements: (run, theta [S, n, genes], cost [S, n], show) -> theta [S, genes],
+# Refinements: (evolved, theta [S, n, genes], cost [S, n], show) -> theta [S, genes],
 # cost [S], costs on the way [S, ...], those of the start first.
 
 
-def _gradient(run, theta, cost, show):
+def _gradient(evolved: Evolved, theta, cost, show):
     # Here, because optax takes a good part of a second to load.
     from fntg_jax.learning import gradient
 
-    config = run.config
-    static = _refining(run)
+    config, rows = evolved.problem.config, evolved.rows
+    static = _refining(evolved.problem)
 
     def one_seed(shared, key, seed_floats, theta):
         scenes, validation = shared
@@ -120,23 +135,23 @@ def _gradient(run, theta, cost, show):
         )
         return jax.tree.map(lambda x: x[jnp.argmin(found.cost)], found)
 
-    program = jax.jit(over_seeds(one_seed, run.mesh), compiler_options=xla.GRADIENT_OPTIONS)
-    rows = (run.state.key, run.floats, run.place_rows(theta))
-    arguments = (run.scenes, run.validation), rows
-    found = _compiled(run, program, arguments)(*arguments)
-    theta, cost, history = (hosts.gather(x)[: run.num_rows] for x in found[:3])
+    program = jax.jit(over_seeds(one_seed, rows.mesh), compiler_options=xla.GRADIENT_OPTIONS)
+    own = (evolved.state.key, evolved.traced, rows.place(theta))
+    arguments = (evolved.scenes, evolved.validation), own
+    found = rows.compile(program, arguments)(*arguments)
+    theta, cost, history = rows.gather(found[:3])
     show(config.refine_steps, config.refine_steps, float(np.median(10 / cost)))
     return theta, cost, history
 
 
-def _cma(run, theta, cost, show):
+def _cma(evolved: Evolved, theta, cost, show):
     """A third of the steps from each theta, then the rest where that came to the lowest cost: a
     few searches end in a local optimum, and most of these show by then.
 
     One compiled program of a few steps for all of it: a roll-out takes seconds to compile.
     """
-    config, num = run.config, run.num_rows
-    static = _refining(run)
+    config, rows, num = evolved.problem.config, evolved.rows, evolved.rows.num
+    static = _refining(evolved.problem)
 
     def one_seed(shared, key, seed_floats, start, course):
         scenes, validation, num_steps = shared
@@ -150,7 +165,7 @@ def _cma(run, theta, cost, show):
             num_steps,
         )
 
-    advance = jax.jit(over_seeds(one_seed, run.mesh))
+    advance = jax.jit(over_seeds(one_seed, rows.mesh))
     trial = config.refine_steps // 3 if theta.shape[1] > 1 else 0
     done, wanted = 0, config.refine_steps + (theta.shape[1] - 1) * trial
     least = np.full(num, np.inf)
@@ -159,34 +174,34 @@ def _cma(run, theta, cost, show):
         """num_steps more of the courses [S], which began at theta[:, start]; start: [S]."""
         nonlocal advance, done, least
         history = []
-        start = run.place_rows(start)
+        start = rows.place(start)
         for first in range(0, num_steps, _VALIDATE_EVERY):
             length = min(_VALIDATE_EVERY, num_steps - first)
             arguments = (
-                (run.scenes, run.validation, np.int32(length)),
-                (run.state.key, run.floats, start, course),
+                (evolved.scenes, evolved.validation, np.int32(length)),
+                (evolved.state.key, evolved.traced, start, course),
             )
             if done == 0:
-                advance = _compiled(run, advance, arguments)
+                advance = rows.compile(advance, arguments)
             course, newest = advance(*arguments)
-            history.append(hosts.gather(newest)[:num])
+            history.append(rows.gather(newest))
             done += length
-            least = np.fmin(least, hosts.gather(course.cost)[:num])
+            least = np.fmin(least, rows.gather(course.cost))
             show(done, wanted, float(np.median(10 / least)))
-        return jax.tree.map(lambda x: hosts.gather(x)[:num], course), history
+        return rows.gather(course), history
 
     tried = []
     for n in range(theta.shape[1]):
-        course = run.place_rows((theta[:, n], cost[:, n]), lambda rows: jax.vmap(cma.begin)(*rows))
+        course = rows.place((theta[:, n], cost[:, n]), lambda own: jax.vmap(cma.begin)(*own))
         course, history = go_on(np.full(num, n), course, trial)
         first = np.where(np.isfinite(cost[:, n]), cost[:, n], np.inf)
         tried.append((course, np.stack([first, *history], axis=1)))
     best = np.argmin([course.cost for course, _ in tried], axis=0)
     course, history = jax.tree.map(lambda *x: np.stack(x)[best, np.arange(num)], *tried)
-    course, rest = go_on(best, run.place_rows(course), config.refine_steps - trial)
+    course, rest = go_on(best, rows.place(course), config.refine_steps - trial)
     return course.theta, course.cost, np.concatenate([history, *(x[:, None] for x in rest)], axis=1)
 
 
-def _refining(run):
-    static = run.config_static()
-    return static._replace(num_scenes=run.config.refine_scenes or static.num_scenes)
+def _refining(problem: Problem) -> Static:
+    static = problem.static
+    return static._replace(num_scenes=problem.config.refine_scenes or static.num_scenes)

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from fntg_jax.controller.controller import Controller
-from fntg_jax.running import run_folder, runner, settings
+from fntg_jax.running import controllers, run_folder, runner, settings
+from fntg_jax.running.problem import resolve
 from fntg_jax.running.runner import History, Progress
 from fntg_jax.running.settings import TrainConfig
 
@@ -65,7 +66,7 @@ def configure(preset: str, options: dict[str, Any]) -> TrainConfig:
             else:
                 raise ValueError(f"{name} = {value!r}: allowed is a {wanted} or a dict of fields")
         values[name] = str(value) if isinstance(value, Path) else value
-    return run_folder.config_from_dict(values)
+    return settings.from_dict(values)
 
 
 def learn(
@@ -77,7 +78,7 @@ def learn(
 
     Raises ValueError where that exists already or the configuration does not do.
     """
-    run = runner.start(config)
+    run = runner.start(resolve(config))
     if out is not None:
         run_folder.create(out, config)
     runner.complete(run, on_progress)
@@ -85,11 +86,11 @@ def learn(
         result = run.conclude()
     else:
         run_folder.save_checkpoint(out, run)
-        _, result = run_folder.finish(out, run)
+        result = run_folder.finish(out, run)
     seeds = range(config.first_seed, config.first_seed + config.seeds)
     return Learnt(
-        controller=run_folder.controller(run, result=result),
-        controllers=tuple(run_folder.controller(run, seed, result) for seed in seeds),
+        controller=controllers.of_run(run, result=result),
+        controllers=tuple(controllers.of_run(run, seed, result) for seed in seeds),
         fitness=np.asarray(result.fitness),
         history=run.history(),
         refined=result.refined,

@@ -6,14 +6,15 @@ one seed's generation (`rollout.rollout_pairs`).
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jax.sharding import Mesh
+from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
 from fntg_jax.learning.rollout import num_blocks
+from fntg_jax.running import hosts, memory
 
 GENOME = "genome"  # axis of the devices that share a generation
 
@@ -52,3 +53,41 @@ def over_seeds(fn: Callable[..., Any], mesh: Mesh) -> Callable[..., Any]:
         out_specs=P("seed"),
         check_vma=False,
     )
+
+
+class Rows(NamedTuple):
+    """Where the rows of a run lie: its seeds (and variants), spread over the devices of a mesh."""
+
+    mesh: Mesh
+    num: int
+
+    def place(self, values: Any, fn: Callable[[Any], Any] = lambda x: x) -> Any:
+        """fn of values, leaves [num, ...], on the devices of the rows.
+
+        Every device gets as many rows: the last ones are repeated, computed and dropped.
+        """
+        size = self.mesh.shape["seed"]
+        row = np.arange(-(-self.num // size) * size) % self.num
+        return self._place(jax.tree.map(lambda x: np.asarray(x)[row], values), P("seed"), fn)
+
+    def share(self, values: Any) -> Any:
+        """Values that all rows use, on all devices."""
+        return self._place(values, P(), lambda x: x)
+
+    def gather(self, values: Any) -> Any:
+        """Leaves of what was placed, or computed from it, as NumPy [num, ...]."""
+        return jax.tree.map(lambda x: hosts.gather(x)[: self.num], values)
+
+    def compile(self, program: Any, arguments: tuple) -> Any:
+        """A jitted function compiled for these arguments.  Raises ValueError (one line) where
+        memory will not do."""
+        compiled = program.lower(*arguments).compile()
+        memory.check(compiled, len(self.mesh.local_devices))
+        return compiled
+
+    def _place(self, values, spec, fn):
+        # By the compiler, because `jax.device_put` does not reach the devices of other processes.
+        values = jax.tree.map(np.asarray, values)
+        return self.compile(jax.jit(fn, out_shardings=NamedSharding(self.mesh, spec)), (values,))(
+            values
+        )

@@ -1,9 +1,10 @@
-"""Configuration of a learning run: fields, presets, checks, and the worlds they name."""
+"""Configuration of a learning run: fields, presets, checks.
+
+What its names stand for (world, suite, task) is looked up in `problem.resolve`.
+"""
 
 import dataclasses
-from collections.abc import Callable
-from importlib import metadata
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_type_hints
 
 import numpy as np
 
@@ -13,8 +14,7 @@ from fntg_jax.controller.layout import get_layout
 from fntg_jax.learning import ga
 from fntg_jax.learning.fitness import PaperWeights, SmoothWeights
 from fntg_jax.learning.ga import GAConfig
-
-WORLDS = "fntg_jax.worlds"  # entry point group
+from fntg_jax.running.registry import get_suite, get_world  # noqa: F401
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,7 +106,10 @@ PRESETS = {
 
 
 def validate(config: TrainConfig) -> None:
-    """Check a configuration at the edge.  Raises ValueError: field, value, what is allowed."""
+    """Check a configuration's values at the edge; names of members are not looked up here.
+
+    Raises ValueError: field, value, what is allowed.
+    """
     for name, least in (
         ("seeds", 1),
         ("generations", 1),
@@ -141,7 +144,8 @@ def validate(config: TrainConfig) -> None:
         raise ValueError(
             f"refine_top = {config.refine_top}: allowed are 1 to {min(16, config.ga.population)}"
         )
-    for name, allowed in _WORDS.items():
+    for name in ("objective", "initial", "refine_method"):
+        allowed = get_args(get_type_hints(TrainConfig)[name])
         if (word := getattr(config, name)) not in allowed:
             raise ValueError(f"{name} = {word!r}: allowed are {', '.join(allowed)}")
     positive = {
@@ -154,42 +158,41 @@ def validate(config: TrainConfig) -> None:
                 raise ValueError(f"{group}.{name} = {value}: allowed are finite numbers from 0")
             if value == 0 and name in names:
                 raise ValueError(f"{group}.{name} = {value}: allowed are numbers above 0")
-    world = get_world(config.env)
-    get_suite(world, config.suite)
-    world.make(**config.env_options)
 
 
 _MOST_SCENES = 10_000_000  # of a pool: about a GB
-_WORDS = {
-    "objective": ("paper", "smooth"),
-    "initial": ("uniform", "partition"),
-    "refine_method": ("gradient", "cma"),
-}
 
 
-def get_suite(world: Any, suite: str) -> Callable[..., Any]:
-    """(key, num_scenes) -> scenes, for one suite, with options where the world's suites take some,
-    "blocked/wall=0.1", or a mix "open:2,blocked:3".
+def from_dict(data: Any) -> TrainConfig:
+    """A checked configuration from plain values, nested as `dataclasses.asdict` nests.
 
-    Raises ValueError naming the unknown suite or option, or the unusable share.
+    Raises ValueError: field, value, what is allowed.
     """
-    if suite in world.suites:
-        return world.suites[suite]
-    if ":" not in suite:
-        return world.mix(((suite, 1.0),))
-    shares = []
-    for part in suite.split(","):
-        name, _, share = part.partition(":")
-        try:
-            shares.append((name, float(share)))
-        except ValueError:
-            raise ValueError(f"suite = {suite!r}: {part!r} is not NAME:SHARE") from None
-    return world.mix(tuple(shares))
+    config = _from_dict(TrainConfig(), data)
+    validate(config)
+    return config
 
 
-def get_world(name: str) -> Any:
-    """The world registered under that entry point.  Raises ValueError listing the known ones."""
-    found = {e.name: e for e in metadata.entry_points(group=WORLDS)}
-    if name not in found:
-        raise ValueError(f"env = {name!r}: known worlds are {', '.join(sorted(found)) or 'none'}")
-    return found[name].load()
+def _from_dict(default: Any, data: Any) -> Any:
+    name = type(default).__name__
+    if isinstance(data, type(default)):
+        return data
+    if not isinstance(data, dict):
+        raise ValueError(
+            f"{name} is {type(data).__name__}: allowed is {name} or its fields by name"
+        )
+    unknown = sorted(set(data) - {f.name for f in dataclasses.fields(default)})
+    if unknown:
+        known = ", ".join(f.name for f in dataclasses.fields(default))
+        raise ValueError(f"{unknown[0]!r}: unknown; known are {known}")
+    values = {}
+    for field, value in data.items():
+        before = getattr(default, field)
+        if dataclasses.is_dataclass(before):
+            value = _from_dict(before, value)
+        elif type(value) is not type(before) and not (
+            isinstance(before, float) and type(value) is int
+        ):
+            raise ValueError(f"{field} = {value!r}: allowed is {type(before).__name__}")
+        values[field] = value
+    return dataclasses.replace(default, **values)

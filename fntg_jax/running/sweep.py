@@ -8,20 +8,21 @@ import contextlib
 import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fntg_jax.controller.layout import get_layout
 from fntg_jax.learning import fitness
 from fntg_jax.learning.rollout import rollout_pairs
 from fntg_jax.running import memory
 from fntg_jax.running.evaluation import held_out_scenes
 from fntg_jax.running.parallel import over_seeds
-from fntg_jax.running.runner import Run, program_key
-from fntg_jax.running.settings import TrainConfig, get_world, validate
+from fntg_jax.running.problem import Problem, program_key, resolve
+from fntg_jax.running.runner import Run
+from fntg_jax.running.settings import TrainConfig, validate
 
 Setting = dict[str, Any]
 
@@ -101,25 +102,25 @@ def apply(base: TrainConfig, setting: Setting) -> TrainConfig:
     return config
 
 
-def configurations(
+def problems(
     base: TrainConfig, settings: Sequence[Setting], suites: Sequence[str] = ()
-) -> list[TrainConfig]:
+) -> list[Problem]:
     """`apply` for all.  Raises ValueError on one that cannot run, or an unknown suite."""
-    configs = [apply(base, s) for s in settings]
-    for config in configs:
-        known = get_world(config.env).suites
+    found = [resolve(apply(base, s)) for s in settings]
+    for problem in found:
+        known = problem.world.suites
         for suite in suites:
             if suite not in known:
                 raise ValueError(f"suites = {suite!r}: known are {', '.join(known)}")
-    return configs
+    return found
 
 
-def programs(configs: Sequence[TrainConfig]) -> list[list[int]]:
+def programs(problems: Sequence[Problem]) -> list[list[int]]:
     """Which settings share a compiled program: their indices, in order."""
     keys: list[Any] = []
     found: list[list[int]] = []
-    for n, config in enumerate(configs):
-        key = program_key(config)
+    for n, problem in enumerate(problems):
+        key = program_key(problem)
         if key not in keys:
             keys.append(key)
             found.append([])
@@ -141,8 +142,8 @@ def run(
     function to call with each new `runner.Progress`.  Raises ValueError (one line) before anything
     is computed.
     """
-    configs = configurations(base, settings, suites)
-    groups = programs(configs)
+    found = problems(base, settings, suites)
+    groups = programs(found)
     say(
         f"{len(settings)} settings x {base.seeds} seeds in {len(groups)} compiled "
         f"program{'s' if len(groups) > 1 else ''}" + _split(settings, groups)
@@ -158,7 +159,7 @@ def run(
     for number, group in enumerate(groups):
         word = ", ".join(f"{k} {v}" for k, v in _common(settings, group).items())
         say(f"program {number + 1} of {len(groups)}{word and ': '}{word}: compiling ...")
-        _run_group(configs, group, table, num_scenes, say, progress)
+        _run_group(found, group, table, num_scenes, say, progress)
     return table
 
 
@@ -179,16 +180,17 @@ def _split(settings: Sequence[Setting], groups: list[list[int]]) -> str:
 
 
 def _run_group(
-    configs: Sequence[TrainConfig],
+    problems: Sequence[Problem],
     group: list[int],
     table: Table,
     num_scenes: int,
     say: Callable[[str], None],
     progress: Callable[[Run], Any],
 ) -> None:
-    first = configs[group[0]]
+    problem = problems[group[0]]
+    first = problem.config
     # Populations are held for all rows of a batch; the rest of a program's memory is a few rows'.
-    genome = get_layout(first.layout).num_genes * first.ga.num_bits
+    genome = problem.layout.num_genes * first.ga.num_bits
     row_bytes = 2 * (first.ga.population + first.generations) * genome
     size = max(1, min(len(group), _BATCH_BYTES // (row_bytes * first.seeds)))
     if size < len(group):
@@ -197,9 +199,9 @@ def _run_group(
     for start in range(0, len(group), size):
         batch = group[start : start + size]
         # One shape for all batches: the last is filled up, and the surplus dropped.
-        variants = [configs[n] for n in (batch + batch[-1:] * size)[:size]]
+        variants = [problems[n].config for n in (batch + batch[-1:] * size)[:size]]
         if learner is None:
-            learner = Run(first, variants)
+            learner = Run(problem, variants)
             learner.compile()
             memory.announce(learner.memory_bytes, say)
         else:
@@ -220,29 +222,37 @@ def _run_group(
                 table.success[suite][n] = share[k]
 
 
+@partial(jax.jit, static_argnames=("layout", "output", "mesh"))
+def _judge(scenes, rows, *, layout, output, mesh):
+    """Share of successes of each row (theta, env).  Suites of equal shape share a compilation."""
+
+    def one(some, t, e):
+        outcome = rollout_pairs(layout, t[None], some, e, output=output)
+        return jnp.mean(fitness.success(outcome).success[0])
+
+    return over_seeds(one, mesh)(scenes, rows)
+
+
 def _success(
     learner: Run, variants: Sequence[TrainConfig], theta: np.ndarray, suite: str, num_scenes: int
 ) -> np.ndarray:
     """Share of successes [setting, seed], in the world that `fntg evaluate` uses: that of the
     controller's limits and control step, and no other option."""
-    scenes = held_out_scenes(learner.world, suite, num_scenes)
-    config = learner.config
-    rows = [_plain_world(learner, v) for v in variants for _ in range(config.seeds)]
-    env = jax.tree.map(lambda *x: np.stack(x), *rows)
-    size = learner.mesh.shape["seed"]
-    pad = np.arange(-(-len(rows) // size) * size) % len(rows)
-
-    def one(some, t, e):
-        outcome = rollout_pairs(learner.layout, t[None], some, e, output=config.output)
-        return jnp.mean(fitness.success(outcome).success[0])
-
-    judge = jax.jit(over_seeds(one, learner.mesh))
-    flat = theta.reshape(-1, theta.shape[-1])
-    share = judge(scenes, (flat[pad], jax.tree.map(lambda x: x[pad], env)))
-    return np.asarray(share)[: len(rows)].reshape(len(variants), config.seeds)
+    config, problem, rows = learner.config, learner.problem, learner.rows
+    scenes = held_out_scenes(problem.world, suite, num_scenes)
+    worlds = [_plain_world(problem.variant(v)) for v in variants]
+    env = jax.tree.map(lambda *x: np.repeat(np.stack(x), config.seeds, axis=0), *worlds)
+    share = _judge(
+        rows.share(scenes),
+        rows.place((theta.reshape(-1, theta.shape[-1]), env)),
+        layout=problem.layout,
+        output=config.output,
+        mesh=rows.mesh,
+    )
+    return rows.gather(share).reshape(len(variants), config.seeds)
 
 
-def _plain_world(learner: Run, config: TrainConfig) -> Any:
-    env = learner.world.make(**config.env_options)
+def _plain_world(problem: Problem) -> Any:
+    env = problem.env
     limits = {k: float(v) for k, v in env.limits._asdict().items()}
-    return jax.tree.map(np.asarray, learner.world.make(dt=float(env.dt), **limits))
+    return jax.tree.map(np.asarray, problem.world.make(dt=float(env.dt), **limits))

@@ -10,10 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
-import fntg_jax
+from fntg_jax import export
 from fntg_jax.controller import genome
-from fntg_jax.controller.layout import HIGH, LOW, get_layout
-from fntg_jax.running import hosts, run_folder
+from fntg_jax.controller.layout import HIGH, LOW
+from fntg_jax.running import config_file, hosts
+from fntg_jax.running.problem import Problem
 from fntg_jax.running.settings import TrainConfig
 
 _KEY = 0x3A9  # folded into a seed's key: evolution draws from the key itself
@@ -43,35 +44,38 @@ def neighbours(
     return genome.encode(around, num_bits, gray)
 
 
-def start(config: TrainConfig) -> Start:
+def start(problem: Problem) -> Start:
     """The populations that `config.warm_start` stands for: of a run folder the last ones, where
     seeds, population and coding are the same; else neighbours of its best controller, or of the
     one in the file.  Raises ValueError (one line) when it cannot be read or has another layout.
     """
+    config, num_genes = problem.config, problem.layout.num_genes
 
     def read() -> bytes:
         try:
-            first = _start(config)
+            first = _start(config, num_genes)
         except ValueError as error:
             raise ValueError(f"warm_start = {config.warm_start}: {error}") from None
         return np.packbits(first.bits).tobytes() + os.fsencode(first.origin)
 
-    length = get_layout(config.layout).num_genes * config.ga.num_bits
-    shape = (config.seeds, config.ga.population, length)
+    shape = (config.seeds, config.ga.population, num_genes * config.ga.num_bits)
     data, num = hosts.from_first(read), math.prod(shape)
     packed = np.frombuffer(data, np.uint8, count=-(-num // 8))
     bits = jnp.asarray(np.unpackbits(packed, count=num).astype(bool).reshape(shape))
     return Start(bits, os.fsdecode(data[len(packed) :]))
 
 
-def _start(config: TrainConfig) -> Start:
-    source = Path(config.warm_start)
+def _start(config: TrainConfig, num_genes: int) -> Start:
+    source = file = Path(config.warm_start)
     if os.path.isdir(source):  # Path.is_dir raises on names that no file can have
-        saved = run_folder.load_config(source)
+        file = source / "params.json"
+        saved = config_file.load(source)
         _check(config, layout=saved.layout, output=saved.output)
         if _shape(saved) == _shape(config) and (source / "checkpoint.npz").exists():
-            return Start(_last_populations(source, config), f"the populations of {source}")
-    controller = fntg_jax.load(source)
+            return Start(
+                _last_populations(source, config, num_genes), f"the populations of {source}"
+            )
+    controller = export.load(file)
     _check(config, layout=controller.layout.name, output=controller.output)
     theta, coding = jnp.asarray(controller.theta, jnp.float32), config.ga
     seeds = config.first_seed + np.arange(config.seeds)
@@ -99,9 +103,9 @@ def _shape(config: TrainConfig) -> tuple:
     return config.seeds, config.ga.population, config.ga.num_bits, config.ga.gray
 
 
-def _last_populations(folder: Path, config: TrainConfig) -> Bool[Array, "S P L"]:
+def _last_populations(folder: Path, config: TrainConfig, num_genes: int) -> Bool[Array, "S P L"]:
     """From the folder's checkpoint.  Raises ValueError when it is damaged."""
-    length = get_layout(config.layout).num_genes * config.ga.num_bits
+    length = num_genes * config.ga.num_bits
     path = folder / "checkpoint.npz"
     try:
         with np.load(path, allow_pickle=False) as file:

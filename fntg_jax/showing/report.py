@@ -22,7 +22,7 @@ _FILES = (
     ("params.json", "the controller"),
     ("config.json", "the configuration"),
     ("metrics.csv", "fitness by seed and generation"),
-    ("environment.json", "what it ran on"),
+    ("provenance.json", "what it ran on"),
 )
 
 
@@ -35,9 +35,9 @@ def page(folder: Path, num_scenes: int = 500, suite: str = "blocked") -> str:
     controller = export.load(folder / "params.json")
     data = {name: _read(folder / name) for name, _ in _FILES}
     try:
-        environment = dict(json.loads(data["environment.json"]))
+        origin = dict(json.loads(data["provenance.json"]))
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{folder / 'environment.json'}: not JSON ({error})") from None
+        raise ValueError(f"{folder / 'provenance.json'}: not JSON ({error})") from None
     about = controller.provenance
     of_seeds = f", the best of {run.config.seeds} seeds" if run.config.seeds > 1 else ""
     sections = [
@@ -49,7 +49,7 @@ def page(folder: Path, num_scenes: int = 500, suite: str = "blocked") -> str:
         ),
         ("Rules", _rules(run, controller, suite)),
         ("Configuration", _table(_flat(dataclasses.asdict(run.config)))),
-        ("Environment", _table(_flat(environment))),
+        ("Environment", _table(_flat(origin))),
         ("Data", _downloads(data)),
     ]
     facts = (
@@ -101,11 +101,12 @@ def _figure_of_fitness(run: Run) -> str:
 def _figures_of_trials(run: Run, controller: export.Controller) -> str:
     """Fig. 6 to 8, by the run's controller in the run's own world."""
     params = controller.params32
-    scenes = run.world.suites["paper"](jax.random.key(0), 4)
-    record = jax.jit(jax.vmap(lambda s: trajectory(params, s, run.env, output=controller.output)))
+    world, env = run.problem.world, run.problem.env
+    scenes = world.suites["paper"](jax.random.key(0), 4)
+    record = jax.jit(jax.vmap(lambda s: trajectory(params, s, env, output=controller.output)))
     trials = record(scenes)
     first = jax.tree.map(lambda x: x[:1], trials)
-    limits, dt, field = run.env.limits, float(run.env.dt), run.world.field
+    limits, dt, field = env.limits, float(env.dt), world.field
     with tempfile.TemporaryDirectory() as scratch:
         return "\n".join(
             [
@@ -129,8 +130,10 @@ def _figures_of_trials(run: Run, controller: export.Controller) -> str:
 
 def _evaluation(run: Run, controller: export.Controller, num_scenes: int) -> str:
     rows = []
-    for suite in (name for name in run.world.suites if name != "paper"):
-        result = evaluation.evaluate(controller, run.world, suite, num_scenes, env=run.env)
+    for suite in (name for name in run.problem.world.suites if name != "paper"):
+        result = evaluation.evaluate(
+            controller, run.problem.world, suite, num_scenes, env=run.problem.env
+        )
         cells = "".join(
             f"<td>{100 * r.share:.1f} % <small>({100 * r.low:.1f}&ndash;{100 * r.high:.1f})</small>"
             for r in result.rates.values()
@@ -146,7 +149,7 @@ def _evaluation(run: Run, controller: export.Controller, num_scenes: int) -> str
 
 
 def _rules(run: Run, controller: export.Controller, suite: str) -> str:
-    base = rules.rule_base(controller, run.world, suite, 200)
+    base = rules.rule_base(controller, run.problem.world, suite, 200)
     names = "".join(
         f"<tr><th>{_text(x.symbol)}<td>{_text(x.name)}<td>{_text(x.where)}"
         for labels in base.labels.values()

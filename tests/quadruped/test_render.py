@@ -88,7 +88,7 @@ def test_a_film_is_a_walk_in_the_full_model(monkeypatch):
 
 def test_a_back_end_that_does_not_load_is_one_line(python):
     code = """
-from fntg_jax.running.settings import get_world
+from fntg_jax.running.registry import get_world
 try:
     get_world("quadruped").make()
 except ValueError as error:

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from fntg_jax.learning import ga
-from fntg_jax.running import run_folder, runner, settings
+from fntg_jax.running import problem, run_folder, runner, settings
 
 pytestmark = pytest.mark.slow
 
@@ -56,7 +56,7 @@ def test_resumed_is_uninterrupted(tmp_path):
     whole = runner.train(config).conclude()
     folder = tmp_path / "part"
     run_folder.create(folder, config)
-    run = runner.Run(config)
+    run = runner.Run(problem.resolve(config))
     run.compile()
     run.advance()
     assert run.generation < 3

@@ -1,0 +1,70 @@
+"""Worlds, tasks and matches by name: from entry points of installed packages, or registered here.
+
+The trainer knows none of them by name.
+"""
+
+from importlib import metadata
+from typing import Any
+
+from envs.base import World
+
+WORLDS, TASKS, MATCHES = "fntg_jax.worlds", "fntg_jax.tasks", "fntg_jax.matches"
+
+_registered: dict[str, dict[str, Any]] = {WORLDS: {}, TASKS: {}, MATCHES: {}}
+
+
+def register(group: str, name: str, member: Any) -> None:
+    """Make an object known under a name in this process, over an entry point of that name."""
+    _registered[group][name] = member
+
+
+def names(group: str) -> list[str]:
+    """All names known in a group, sorted."""
+    return sorted({*_registered[group], *(e.name for e in metadata.entry_points(group=group))})
+
+
+def get_world(name: str) -> World:
+    """The world of that name.  Raises ValueError listing the known ones."""
+    return _get(WORLDS, "env", "worlds", name)
+
+
+def get_match(name: str) -> Any:
+    """The match of that name.  Raises ValueError listing the known ones."""
+    return _get(MATCHES, "match", "matches", name)
+
+
+def get_task(name: str) -> Any:
+    """The task's factory, options by name -> `envs.base.Task`.  Raises ValueError listing the known
+    ones."""
+    return _get(TASKS, "task", "tasks", name)
+
+
+def _get(group: str, field: str, words: str, name: str) -> Any:
+    if name in _registered[group]:
+        return _registered[group][name]
+    found = {e.name: e for e in metadata.entry_points(group=group)}
+    if name not in found:
+        raise ValueError(
+            f"{field} = {name!r}: known {words} are {', '.join(names(group)) or 'none'}"
+        )
+    return found[name].load()
+
+
+def get_suite(world: World, suite: str) -> Any:
+    """(key, num_scenes) -> scenes, for one suite, with options where the world's suites take some,
+    "blocked/wall=0.1", or a mix "open:2,blocked:3".
+
+    Raises ValueError naming the unknown suite or option, or the unusable share.
+    """
+    if suite in world.suites:
+        return world.suites[suite]
+    if ":" not in suite:
+        return world.mix(((suite, 1.0),))
+    shares = []
+    for part in suite.split(","):
+        name, _, share = part.partition(":")
+        try:
+            shares.append((name, float(share)))
+        except ValueError:
+            raise ValueError(f"suite = {suite!r}: {part!r} is not NAME:SHARE") from None
+    return world.mix(tuple(shares))
