@@ -161,7 +161,9 @@ def shipped(name: str) -> Path:
     Args:
         name: "bioa", trained by `fntg train --preset robust --seeds 10`.
     """
-    return Path(__file__).parent / "data" / f"{name}.json"
+    from fntg_jax import export
+
+    return export.shipped(name)
 
 
 def load(path: str | Path) -> "Controller":

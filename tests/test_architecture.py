@@ -16,9 +16,10 @@ ARROWS = {
     "fntg_jax.controller": {"envs.base"},
     "fntg_jax.learning": {"envs.base", "fntg_jax.controller", "fntg_jax.robot"},
     "fntg_jax.export": {"envs.base", "fntg_jax.controller", "fntg_jax.robot", "fntg_jax.files"},
+    # A team is a `learning.play.Side`.
     "fntg_jax.teams": {
         *("envs.base", "fntg_jax.robot", "fntg_jax.controller", "fntg_jax.export"),
-        "fntg_jax.files",
+        *("fntg_jax.files", "fntg_jax.learning"),
     },
 }
 ARROWS["fntg_jax.running"] = ARROWS["fntg_jax.teams"] | {"fntg_jax.learning", "fntg_jax.teams"}

@@ -18,7 +18,14 @@ __all__ = [
     "numpy_format",
     "save",
     "schema",
+    "shipped",
 ]
+
+
+def shipped(name: str) -> Path:
+    """Path of a controller that comes with the package."""
+    return Path(__file__).parent.parent / "data" / f"{name}.json"
+
 
 _MAX_BYTES = 1_000_000  # a real file has 8 kB
 

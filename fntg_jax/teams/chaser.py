@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-import fntg_jax
 from envs.base import Observation, Truth, Walk
+from fntg_jax import export
 from fntg_jax.controller import network
 from fntg_jax.learning.play import Belief, Side, Words
 from fntg_jax.robot.geometry import angle, length, unit, wrap
@@ -54,7 +54,7 @@ class Memory(NamedTuple):
 def make(match: Any, side: int) -> Side:
     """The team for a match (its bodies' tables and field) on a side, 0 home or 1 away."""
     body, field = match.bodies[side], match.field
-    controller = fntg_jax.load(fntg_jax.shipped("bioa"))
+    controller = export.load(export.shipped("bioa"))
     params = jax.tree.map(lambda a: np.asarray(a, np.float32), controller.params)
     team = Chaser(
         bioa=jax.tree_util.Partial(_BIOA[controller.output], params, controller.limits),
