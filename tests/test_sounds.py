@@ -8,8 +8,8 @@ import pytest
 from scipy import signal
 from scipy.io import wavfile
 
-from fntg_jax import sounds
 from fntg_jax.commands import cli
+from fntg_jax.running import sounds
 
 SAID = [
     "--sender",

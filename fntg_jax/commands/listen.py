@@ -28,7 +28,7 @@ def main(argv: list[str]) -> None:
     if not options.wavs:
         raise ValueError("wavs: none given (see fntg listen --help)")
     xla.configure()
-    from fntg_jax import sounds
+    from fntg_jax.running import sounds
 
     # All are read before anything is printed: half an answer is none.
     heard = [sounds.read_wav(path) for path in options.wavs]

@@ -78,8 +78,8 @@ def main(argv: list[str]) -> None:
     import jax.numpy as jnp
     import numpy as np
 
-    from fntg_jax import sounds
     from fntg_jax.robot import acoustics, communication
+    from fntg_jax.running import sounds
 
     known = options.ball_x is not None
     words = communication.pack(
