@@ -11,12 +11,11 @@ from typing import Any
 from envs import mix, scenes
 from envs.base import Film, Limits, Scene, World, check_options
 from envs.field import FIELD
+from envs.quadruped.constants import OWN
 
 # Option -> (least, largest) value.
 _LIMITS = {"v_min": (-0.3, 0.3), "v_max": (0.001, 0.3), "omega_max": (0.01, 2.0)}
 _OTHER = {"dt": (0.004, 1), "ball_deceleration": (0, 10), "servo_speed": (0.1, 100)}
-# What the shipped walk follows within its tolerances on its servos (docs/quadruped.md).
-OWN = {"v_min": 0.0, "v_max": 0.15, "omega_max": 1.0}
 _TIMESTEP = 0.004  # s, of physics
 
 

@@ -66,3 +66,6 @@ FRICTION = 1.0  # rubber soles on carpet, assumed
 # The point of the body's frame that is brought to the ball's centre: below the nose, where a
 # lying ball touches nothing (chest at 0.10 m + ball radius 0.042 m).
 CAPTURE_X = 0.145
+
+# What the shipped walk follows within its tolerances on its servos (docs/quadruped.md).
+OWN = {"v_min": 0.0, "v_max": 0.15, "omega_max": 1.0}

@@ -19,8 +19,8 @@ from envs.field import (
     nearest_obstacle,
     roll_ball,
 )
-from envs.quadruped import OWN, physics
 from envs.quadruped import constants as c
+from envs.quadruped import physics
 from envs.quadruped.locomotion import SPEED, Gait, follow, limit, load_gait, set_points
 from envs.quadruped.rigid_body import Variation
 from envs.scenes import BALL_DECELERATION
@@ -69,7 +69,7 @@ class Quadruped:
     """
 
     gait: Gait = dataclasses.field(default_factory=_default_gait)
-    limits: Limits = Limits(**OWN)
+    limits: Limits = Limits(**c.OWN)
     servo_speed: Scalar = 1.0
     fall_tilt: Scalar = 0.7
     fall_height: Scalar = 0.045
