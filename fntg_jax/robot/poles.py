@@ -28,7 +28,7 @@ IDENTITIES = tuple(
     for pair in ((near, colours.PINK), (colours.PINK, near))
 )
 NUM = 8  # candidates that are kept
-FOUND = 0.5  # score of a landmark that is called found
+FOUND = 0.45  # score of a landmark that is called found
 WHITE = 200  # level at which a colour table for relative colours has white
 
 _DARK = 8.0  # added before a logarithm: colours darker than this are noise

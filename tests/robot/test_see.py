@@ -88,7 +88,7 @@ def test_every_landmark_is_found_where_it_stands(tmp_path, capsys):
             assert found["bearing"] == pytest.approx(bearing, abs=math.radians(0.2))
             x0, y0, x1, y1 = found["box"]
             assert x1 - x0 == pytest.approx((y1 - y0) * 0.10 / 0.21, rel=1e-2)
-            assert 0.5 <= found["confidence"] <= 1
+            assert poles.FOUND <= found["confidence"] <= 1
 
 
 def test_the_size_of_landmarks_is_an_argument(tmp_path, capsys):
