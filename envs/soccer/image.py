@@ -222,8 +222,10 @@ def _cast(scene: Scene, view: Eye, values: Sequence, shading, shadows, camera, f
 
     for name, low, high in boxes(field):
         new_value = next(v for (owner, _), v in zip(surfaces, values) if owner == name)
-        corners = [tuple(c - o for c, o in zip(corner, (ox, oy, oz))) for corner in (low, high)]
-        box(*corners, (ix, iy, iz), (sx, sy, sz), new_value)
+        nearest, farthest = (
+            tuple(c - o for c, o in zip(corner, (ox, oy, oz))) for corner in (low, high)
+        )
+        box(nearest, farthest, (ix, iy, iz), (sx, sy, sz), new_value)
 
     for n in range(num):
         rx, ry, heading = scene.robots[n]

@@ -27,7 +27,7 @@ def mjcf(num_robots: int, camera: Camera = Camera(), field: Field = FIELD) -> st
 
     A geom's name is its object's name in `image.NAMES` (or robot0, ...), a colon and a number.
     """
-    geoms = []
+    geoms: list[str] = []
 
     def add(owner: str, *rest) -> None:
         geoms.append(_geom(f"{owner}:{len(geoms)}", *rest))
@@ -63,11 +63,11 @@ def mjcf(num_robots: int, camera: Camera = Camera(), field: Field = FIELD) -> st
         add(name, "box", centre, half_sizes, paints.get(name, "wall"))
     foot, band = field.landmark_foot, field.landmark_band
     for n, mark in enumerate(field.landmarks):
-        parts = ((0.0, foot, "white"), (foot, foot + band, mark.lower))
-        for low, high, paint in (*parts, (foot + band, foot + 2 * band, mark.upper)):
-            place = (mark.x, mark.y, 0.5 * (low + high))
-            size = (field.landmark_radius, 0.5 * (high - low))
-            add(f"landmark{n}", "cylinder", place, size, paint)
+        bands = ((0.0, foot, "white"), (foot, foot + band, mark.lower))
+        for bottom, top, paint in (*bands, (foot + band, foot + 2 * band, mark.upper)):
+            spot = (mark.x, mark.y, 0.5 * (bottom + top))
+            size = (field.landmark_radius, 0.5 * (top - bottom))
+            add(f"landmark{n}", "cylinder", spot, size, paint)
     world = "\n".join(geoms)
     bodies = [
         f'<body name="ball" mocap="true">'
