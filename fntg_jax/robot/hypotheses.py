@@ -22,17 +22,17 @@ SLOTS = 4  # poses kept at once
 # Noise levels, each a factor of about 1.7 from the next: what lies between loses next to nothing.
 RANGE_NOISE = (0.025, 0.042, 0.07, 0.12, 0.21, 0.35)  # share of the distance
 BEARING_NOISE = tuple(math.radians(x) for x in (0.7, 1.2, 2.0, 3.5, 6.0, 10.0))
-ODOMETRY_NOISE = (0.07, 0.15, 0.3)  # share of a row's motion, at random
+# Of a row's motion at random: a share of it, and m and rad in a second that come without any motion.
+ODOMETRY_NOISE = ((0.07, 0.002, 0.002), (0.15, 0.004, 0.004), (0.3, 0.01, 0.01))
 RANGE_FLOOR = 0.005  # m, assumed: no distance is better than that
 # Standard deviations at the start (assumed): of a pose that the log gives, of s, k and b.
 START_SD = (0.03, 0.03, 0.05)
 ODOMETRY_SD = (0.1, 0.1, 0.03)
 DRIFT = (0.003, 0.003, 0.001)  # of s, k, b in a second, assumed: they change slowly
 ACROSS = 0.25  # of the random error of a motion, at right angles to it, assumed
-SKID = (0.01, 0.01)  # m, rad in a second (assumed): motion that the odometry knows nothing of
 # Shares of the sightings, assumed: another landmark than named; no landmark at all.
 MISNAMED, CLUTTER = 0.05, 0.02
-KIDNAP_RATE = 1e-3  # of being lifted, in a second, assumed
+KIDNAP_RATE = 1e-5  # of being lifted, in a second, assumed
 NEW_SD = (2.0, 2.0, 1.5)  # m, m, rad: of a new hypothesis before its two sightings count
 BLUR = 0.03  # rad, and share of the distance, by which a remembered sighting fades in a second
 MEMORY = 5.0  # s for which a sighting helps to find a lost robot's pose
@@ -90,12 +90,15 @@ class Estimate(NamedTuple):
 class _Noise(NamedTuple):
     distance: Float[Array, " G"]
     bearing: Float[Array, " G"]
-    odometry: Float[Array, " G"]
+    motion: Float[Array, " G"]
+    skid: Float[Array, " G"]
+    skid_turn: Float[Array, " G"]
 
 
 def _noise() -> _Noise:
     levels = itertools.product(RANGE_NOISE, BEARING_NOISE, ODOMETRY_NOISE)
-    return _Noise(*(jnp.asarray(x, jnp.float32) for x in np.array(list(levels)).T))
+    table = np.array([(r, b, *odometry) for r, b, odometry in levels], np.float32)
+    return _Noise(*jnp.asarray(table.T))
 
 
 def wrap(angle):
@@ -194,8 +197,8 @@ def _predict(belief: Belief, event: Event, noise: _Noise) -> Belief:
 
     covariance = carried(jnp.swapaxes(carried(belief.covariance), 0, 1))
     # Random errors in the robot's frame: a share of each motion, and a little of that across.
-    skid, skid_turn = (sd**2 * event.dt for sd in SKID)
-    share = noise.odometry**2 / jnp.maximum(event.share, 1e-3)
+    skid, skid_turn = noise.skid**2 * event.dt, noise.skid_turn**2 * event.dt
+    share = noise.motion**2 / jnp.maximum(event.share, 1e-3)
     along = share * (event.dx**2 + ACROSS**2 * event.dy**2) + skid
     across = share * (event.dy**2 + ACROSS**2 * event.dx**2) + skid
     covariance = covariance.at[0, 0].add(cos**2 * along + sin**2 * across)
