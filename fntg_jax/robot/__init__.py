@@ -9,10 +9,11 @@ It knows no world: the body's tables and the field's map come with `Team`.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from envs.base import Action, Senses
+from envs.base import SIGNALS, Action, Senses
 from fntg_jax.robot import (
     behaviors,
     communication,
@@ -31,6 +32,7 @@ __all__ = ["Memory", "Team", "begin", "control"]
 
 DT = 0.1  # s, a control step
 _SCAN = 0.7  # s without a sight of the ball after which the head scans for it (assumed)
+_PENALISED = SIGNALS.index("penalised")
 _FALLEN = 5.0  # m/s^2, acceleration along the body's z below which it does not stand (g is 9.8)
 
 
@@ -104,17 +106,9 @@ def control(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, Action]
     turn = unit(way.turn)
     # Localization: landmarks and displacement -> pose.
     marks = slice(local_map.LANDMARKS[0], local_map.LANDMARKS[-1] + 1)
-    belief = localization.update(
-        memory.belief,
-        way,
-        turn,
-        seen.distance[marks],
-        seen.cos[marks],
-        seen.sin[marks],
-        seen.visible[marks],
-        seen.spread[marks],
-        team.map,
-    )
+    landmarks = jax.tree.map(lambda leaf: leaf[marks], seen)
+    belief = localization.lifted(memory.belief, senses.signal == _PENALISED)
+    belief = localization.update(belief, way, landmarks, team.map, dt=DT)
     pose = localization.pose(belief)
     # Communication: words of the teammates.
     heard = communication.merge(memory.heard, senses.heard, senses.heard_valid, memory.shirt, DT)

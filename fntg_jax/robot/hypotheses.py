@@ -22,7 +22,7 @@ SLOTS = 4  # poses kept at once
 # Noise levels, each a factor of about 1.7 from the next: what lies between loses next to nothing.
 RANGE_NOISE = (0.025, 0.042, 0.07, 0.12, 0.21, 0.35)  # share of the distance
 BEARING_NOISE = tuple(math.radians(x) for x in (0.7, 1.2, 2.0, 3.5, 6.0, 10.0))
-# Of a row's motion at random: a share of it, and m and rad in a second that come without any motion.
+# Random errors of the odometry: a share of a row's motion, and m and rad in a second of none.
 ODOMETRY_NOISE = ((0.07, 0.002, 0.002), (0.15, 0.004, 0.004), (0.3, 0.01, 0.01))
 RANGE_FLOOR = 0.005  # m, assumed: no distance is better than that
 # Standard deviations at the start (assumed): of a pose that the log gives, of s, k and b.

@@ -1,29 +1,57 @@
-"""Localization: an extended Kalman filter of the pose over landmarks and displacement.
+"""The match's Localization: an extended Kalman filter over displacement and landmarks.
 
-Six numbers of a symmetric covariance, landmarks one after the other, all of it arithmetic on
-scalars that batches turn into vector code.  A sighting that does not fit is left out; when too many
-do not fit, the robot admits that it is lost and its covariance grows until they do.
+Robust against what happens in a match: a landmark with a wrong name is told by its distance from
+what was expected; a robot that begins anywhere, or was lifted, finds its pose again from the last
+two different landmarks.  Elementwise arithmetic on scalars and on six numbers of a symmetric 3 x 3,
+so that batches in trailing axes (or under `vmap`) become straight vector code.
 """
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from fntg_jax.robot.geometry import length
-from fntg_jax.robot.messages import Displacement, Pose, Scalar
+from fntg_jax.robot.geometry import angle, length
+from fntg_jax.robot.messages import Displacement, Pose, Scalar, Seen
 
-_WALK = 0.10  # random error of the displacement, a share of it (SOCCER facts: 10-20 %)
-_TURN = 0.12  # of the turn
-_CREEP = 0.01  # m and rad, by root of a second, that nothing measures (assumed)
-_BEARING = 0.04  # rad, standard deviation of a landmark's direction (assumed)
-_GATE = 11.0  # normalised error squared (2 numbers) above which a sighting is left out: 0.4 %
-_DOUBT = 4  # sightings in a row left out until the robot takes itself for lost
+
+class Noise(NamedTuple):
+    """What the filter takes its senses for; the distances' noise comes with `Seen`.
+
+    motion: of a displacement, a share of it, at random; skid: m and turn_skid: rad, of a step of
+    0.1 s, even at rest: standard deviations.  Wide enough to cover systematic errors of 8 % and
+    0.02 rad/s, which this filter does not estimate.  bearing: of a sighting, rad.
+    """
+
+    motion: float = 0.3
+    skid: float = 0.002
+    turn_skid: float = 0.008
+    bearing: float = 0.035
+
+
+GATE = 16.0  # squared distance beyond which a sighting is not believed: 3e-4 of the right ones
+# Doubt: 1 more for a sighting not believed, half for one believed.  From LOST on the pose is not
+# used any more; a pose found anew is on trial.  Chosen by experiments/localization.py's logs.
+LOST, ON_TRIAL = 3.5, 2.5
+MEMORY = 3.0  # s for which a sighting helps to find a lost robot's pose
+FORGOTTEN = 1e6  # s, age of what never was
+
+
+class Remembered(NamedTuple):
+    """A landmark that was seen: in the robot's present frame x, y (m), on the map map_x, map_y (m),
+    age (s)."""
+
+    x: Scalar
+    y: Scalar
+    map_x: Scalar
+    map_y: Scalar
+    age: Scalar
 
 
 class Belief(NamedTuple):
-    """Mean x, y (m), heading as a unit vector; covariance of x, y, heading: xx, xy, yy, xt, yt, tt;
-    doubt: sightings left out in a row."""
+    """x, y (m), heading as a unit vector, covariance of x, y, heading (m, rad; h the heading),
+    doubt, and the last two different landmarks."""
 
     x: Scalar
     y: Scalar
@@ -31,137 +59,236 @@ class Belief(NamedTuple):
     sin: Scalar
     xx: Scalar
     xy: Scalar
+    xh: Scalar
     yy: Scalar
-    xt: Scalar
-    yt: Scalar
-    tt: Scalar
+    yh: Scalar
+    hh: Scalar
     doubt: Scalar
+    newest: Remembered
+    other: Remembered
 
 
-def begin(pose: Float[Array, "3"]) -> Belief:
-    """A robot that was put at x, y, heading (m, rad): within about 3 cm and 0.1 rad."""
-    zero = jnp.zeros_like(pose[0])
+def unknown(shape: tuple[int, ...] = ()) -> Belief:
+    """Lost: nothing is known of the pose.  shape: of the batch."""
+    zero = jnp.zeros(shape, jnp.float32)
+    nothing = Remembered(zero, zero, zero, zero, zero + FORGOTTEN)
     return Belief(
-        pose[0],
-        pose[1],
-        jnp.cos(pose[2]),
-        jnp.sin(pose[2]),
-        zero + 1e-3,
-        zero,
-        zero + 1e-3,
         zero,
         zero,
-        zero + 1e-2,
+        zero + 1,
         zero,
+        *(zero + 0.7, zero, zero, zero + 0.3, zero, zero + 3.0),
+        doubt=zero + LOST,
+        newest=nothing,
+        other=nothing,
     )
 
 
-def _turned(b: Belief, angle: Scalar) -> Belief:
-    """The heading turned by a small angle (rad): a rational approximation of cosine and sine."""
-    h = 0.5 * angle
-    d = 1 / (1 + h * h)
-    c, s = (1 - h * h) * d, 2 * h * d
-    return b._replace(cos=b.cos * c - b.sin * s, sin=b.sin * c + b.cos * s)
+def begin(pose: Float[Array, "3"], sd: float = 0.03, sd_heading: float = 0.1) -> Belief:
+    """A robot that was put at x, y (m), heading (rad): within standard deviations of sd (m) and
+    sd_heading (rad)."""
+    nobody = unknown(jnp.shape(pose[0]))
+    zero = jnp.zeros_like(nobody.x)
+    return nobody._replace(
+        x=pose[0] + zero,
+        y=pose[1] + zero,
+        cos=jnp.cos(pose[2]) + zero,
+        sin=jnp.sin(pose[2]) + zero,
+        xx=zero + sd**2,
+        yy=zero + sd**2,
+        hh=zero + sd_heading**2,
+        doubt=zero,
+    )
+
+
+def lifted(belief: Belief, when: Bool[Array, ""]) -> Belief:
+    """Where somebody says that the robot was lifted: neither its pose nor what it remembers counts
+    any more."""
+    return _select(
+        when,
+        belief._replace(
+            doubt=jnp.full_like(belief.doubt, LOST),
+            newest=belief.newest._replace(age=jnp.full_like(belief.x, FORGOTTEN)),
+            other=belief.other._replace(age=jnp.full_like(belief.x, FORGOTTEN)),
+        ),
+        belief,
+    )
+
+
+def pose(belief: Belief) -> Pose:
+    """What the Planner is told; a robot that is lost says so by standard deviations of 1 m and
+    2 rad."""
+    lost = belief.doubt >= LOST
+    sd = jnp.sqrt(0.5 * (belief.xx + belief.yy))
+    return Pose(
+        belief.x,
+        belief.y,
+        belief.cos,
+        belief.sin,
+        jnp.where(lost, 1.0, sd),
+        jnp.where(lost, 2.0, jnp.sqrt(belief.hh)),
+    )
 
 
 def update(
-    b: Belief,
+    belief: Belief,
     way: Displacement,
-    turn: tuple[Scalar, Scalar],
-    distance: Float[Array, "6"],
-    cos: Float[Array, "6"],
-    sin: Float[Array, "6"],
-    visible: Bool[Array, "6"],
-    spread: Float[Array, "6"],
-    landmarks: Float[Array, "6 2"],
+    seen: Seen,
+    marks: Float[Array, "L 2"],
+    noise: Noise = Noise(),
+    dt: float = 0.1,
 ) -> Belief:
-    """The belief after a step: displacement first, then what was seen of the landmarks.
+    """One step: displacement, then the landmarks in sight.
 
-    way: m and rad, robot's frame; turn: cosine and sine of its turn; distance: m; cos, sin:
-    direction in the robot's frame; spread: relative standard deviation of the distance; landmarks:
-    m, in the team's frame.
+    way: m, rad, since the last step.  seen: landmarks alone, leaves [L, ...] in the order of marks;
+    its `spread` is the distances' standard deviation, a share.  marks: x, y of every landmark on
+    the map (m, the frame of the pose).  dt: s.
     """
-    dx, dy = b.cos * way.x - b.sin * way.y, b.sin * way.x + b.cos * way.y
-    far = length(dx, dy)
-    q, r = (_WALK * far) ** 2 + _CREEP**2 * 0.1, (_TURN * way.turn) ** 2 + _CREEP**2 * 0.1
-    # F = [1 0 -dy; 0 1 dx; 0 0 1]
-    xt, yt = b.xt - dy * b.tt, b.yt + dx * b.tt
-    b = Belief(
+    belief = _moved(belief, way, noise, dt)
+    newest, other = belief.newest, belief.other
+    gauss, doubt = belief, belief.doubt
+    for n in range(len(marks)):
+        map_x, map_y = marks[n][0], marks[n][1]
+        one = Seen(*(leaf[n] for leaf in seen))
+        gauss, doubt = _sighted(gauss, doubt, one, map_x, map_y, noise)
+        zero = jnp.zeros_like(one.distance)
+        mark = Remembered(
+            one.distance * one.cos, one.distance * one.sin, zero + map_x, zero + map_y, zero
+        )
+        another = one.visible & ((newest.map_x != map_x) | (newest.map_y != map_y))
+        other = _select(another, newest, other)
+        newest = _select(one.visible, mark, newest)
+    belief = gauss._replace(doubt=doubt, newest=newest, other=other)
+    found, fits = _found(belief)
+    return _select((doubt >= LOST) & fits, found, belief)
+
+
+def _select(condition, new, old):
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
+
+
+def _turned(cos: Scalar, sin: Scalar, by: Scalar) -> tuple[Scalar, Scalar]:
+    """A unit vector turned by an angle (rad), exact to 1e-3 within 0.5: by its tangent's series."""
+    t = by + by * by * by / 3
+    norm = jax.lax.rsqrt(1 + t * t)
+    return (cos - t * sin) * norm, (sin + t * cos) * norm
+
+
+def _moved(b: Belief, way: Displacement, noise: Noise, dt: float) -> Belief:
+    """The Kalman filter's prediction: half of the turn, the way, the other half."""
+    half_cos, half_sin = _turned(b.cos, b.sin, 0.5 * way.turn)
+    cos, sin = _turned(half_cos, half_sin, 0.5 * way.turn)
+    dx, dy = half_cos * way.x - half_sin * way.y, half_sin * way.x + half_cos * way.y
+    # Covariance: x' = x - dy h, y' = y + dx h, then the noise of the motion, in the field's frame.
+    xh, yh = b.xh - dy * b.hh, b.yh + dx * b.hh
+    xx = b.xx - dy * (b.xh + xh)
+    yy = b.yy + dx * (b.yh + yh)
+    xy = b.xy + dx * b.xh - dy * yh
+    along = (noise.motion * way.x) ** 2 + noise.skid**2
+    across = (noise.motion * way.y) ** 2 + noise.skid**2
+    cc, ss, cs = half_cos * half_cos, half_sin * half_sin, half_cos * half_sin
+    turn_cos, turn_sin = _turned(jnp.ones_like(way.turn), jnp.zeros_like(way.turn), way.turn)
+
+    def carried(m: Remembered) -> Remembered:
+        # The robot's step, and its turn, seen from the robot.
+        x, y = m.x - way.x, m.y - way.y
+        return m._replace(
+            x=turn_cos * x + turn_sin * y, y=turn_cos * y - turn_sin * x, age=m.age + dt
+        )
+
+    return b._replace(
         x=b.x + dx,
         y=b.y + dy,
-        cos=b.cos * turn[0] - b.sin * turn[1],
-        sin=b.sin * turn[0] + b.cos * turn[1],
-        xx=b.xx - dy * (b.xt + xt) + q,
-        xy=b.xy + dx * b.xt - dy * yt,
-        yy=b.yy + dx * (b.yt + yt) + q,
-        xt=xt,
-        yt=yt,
-        tt=b.tt + r,
-        doubt=b.doubt,
+        cos=cos,
+        sin=sin,
+        xx=xx + cc * along + ss * across,
+        xy=xy + cs * (along - across),
+        xh=xh,
+        yy=yy + ss * along + cc * across,
+        yh=yh,
+        hh=b.hh + (noise.motion * way.turn) ** 2 + noise.turn_skid**2,
+        newest=carried(b.newest),
+        other=carried(b.other),
     )
-    for n in range(landmarks.shape[0]):
-        b = _see(b, distance[n], cos[n], sin[n], visible[n], spread[n], landmarks[n])
-    lost = b.doubt >= _DOUBT
-    wide = lambda old, new: jnp.where(lost, jnp.maximum(old, new), old)  # noqa: E731
-    none = lambda old: jnp.where(lost, 0.0, old)  # noqa: E731
+
+
+def _sighted(b: Belief, doubt: Scalar, one: Seen, map_x: Scalar, map_y: Scalar, noise: Noise):
+    """The correction by one landmark's distance and direction, jointly, if it is to be believed."""
+    dx, dy = map_x - b.x, map_y - b.y
+    expected = length(dx, dy)
+    ux, uy = dx / expected, dy / expected
+    # Expected direction in the robot's frame against the one seen.
+    ex, ey = b.cos * ux + b.sin * uy, b.cos * uy - b.sin * ux
+    off_d = one.distance - expected
+    off_a = angle(ex * one.cos + ey * one.sin, ex * one.sin - ey * one.cos)
+    tx, ty = uy / expected, -ux / expected  # of the direction by x and y; by the heading: -1
+    dx_, dy_, dh_ = (
+        -ux * b.xx - uy * b.xy,
+        -ux * b.xy - uy * b.yy,
+        -ux * b.xh - uy * b.yh,
+    )
+    ax_, ay_, ah_ = (
+        tx * b.xx + ty * b.xy - b.xh,
+        tx * b.xy + ty * b.yy - b.yh,
+        tx * b.xh + ty * b.yh - b.hh,
+    )
+    # The noise is a share of the true distance, not of the measured one (see `hypotheses`).
+    dd = -ux * dx_ - uy * dy_ + (one.spread * expected) ** 2
+    da = -ux * ax_ - uy * ay_
+    aa = tx * ax_ + ty * ay_ - ah_ + noise.bearing**2
+    inverse = 1 / (dd * aa - da * da)
+    square = (aa * off_d * off_d - 2 * da * off_d * off_a + dd * off_a * off_a) * inverse
+    believed = one.visible & (square < GATE) & (doubt < LOST)
+    share = jnp.where(believed, inverse, 0.0)
+    kdx, kax = (aa * dx_ - da * ax_) * share, (dd * ax_ - da * dx_) * share
+    kdy, kay = (aa * dy_ - da * ay_) * share, (dd * ay_ - da * dy_) * share
+    kdh, kah = (aa * dh_ - da * ah_) * share, (dd * ah_ - da * dh_) * share
+    cos, sin = _turned(b.cos, b.sin, kdh * off_d + kah * off_a)
+    change = jnp.where(believed, -0.5 * doubt, jnp.where(one.visible, 1.0, 0.0))
+    least = 1e-8  # whatever rounding does
     return b._replace(
-        xx=wide(b.xx, 0.5),
-        yy=wide(b.yy, 0.5),
-        tt=wide(b.tt, 1.0),
-        xy=none(b.xy),
-        xt=none(b.xt),
-        yt=none(b.yt),
-        doubt=none(b.doubt),
-    )
+        x=b.x + kdx * off_d + kax * off_a,
+        y=b.y + kdy * off_d + kay * off_a,
+        cos=cos,
+        sin=sin,
+        xx=jnp.maximum(b.xx - kdx * dx_ - kax * ax_, least),
+        xy=b.xy - kdx * dy_ - kax * ay_,
+        xh=b.xh - kdx * dh_ - kax * ah_,
+        yy=jnp.maximum(b.yy - kdy * dy_ - kay * ay_, least),
+        yh=b.yh - kdy * dh_ - kay * ah_,
+        hh=jnp.maximum(b.hh - kdh * dh_ - kah * ah_, least),
+    ), jnp.minimum(doubt + change, LOST + 1)
 
 
-def _see(b: Belief, far, cos, sin, visible, spread, mark) -> Belief:
-    """One landmark: its direction and distance are made two numbers along and across the line of
-    sight as it is expected, where they are nearly linear."""
-    ex, ey = mark[0] - b.x, mark[1] - b.y
-    d = length(ex, ey)
-    ux, uy = ex / d, ey / d  # line of sight, team's frame
-    # The measured direction in the team's frame, and its error against the expected one.
-    mx, my = b.cos * cos - b.sin * sin, b.sin * cos + b.cos * sin
-    along = far - d
-    ahead, across = ux * mx + uy * my, ux * my - uy * mx
-    turn = across / jnp.maximum(0.5 * (1 + ahead), 0.1)  # about the angle; 2 tan(a / 2)
-    # h1 = d: gradient (-ux, -uy, 0); h2 = direction - heading: gradient (uy/d, -ux/d, -1)
-    ax, ay = -ux, -uy
-    bx, by, bt = uy / d, -ux / d, -1.0
-    pax, pay, pat = b.xx * ax + b.xy * ay, b.xy * ax + b.yy * ay, b.xt * ax + b.yt * ay
-    pbx = b.xx * bx + b.xy * by + b.xt * bt
-    pby = b.xy * bx + b.yy * by + b.yt * bt
-    pbt = b.xt * bx + b.yt * by + b.tt * bt
-    ra, rb = (spread * far) ** 2 + 1e-4, _BEARING**2
-    saa = ax * pax + ay * pay + ra
-    sab = bx * pax + by * pay + bt * pat
-    sbb = bx * pbx + by * pby + bt * pbt + rb
-    det = saa * sbb - sab * sab
-    iaa, iab, ibb = sbb / det, -sab / det, saa / det
-    error = along * along * iaa + 2 * along * turn * iab + turn * turn * ibb
-    fits = error < _GATE
-    used = visible & fits
-    # Gain times innovation.
-    wa, wb = iaa * along + iab * turn, iab * along + ibb * turn
-    keep = jnp.where(used, 1.0, 0.0)
-    kxa, kxb = pax * iaa + pbx * iab, pax * iab + pbx * ibb
-    kya, kyb = pay * iaa + pby * iab, pay * iab + pby * ibb
-    kta, ktb = pat * iaa + pbt * iab, pat * iab + pbt * ibb
-    new = b._replace(
-        x=b.x + keep * (pax * wa + pbx * wb),
-        y=b.y + keep * (pay * wa + pby * wb),
-        xx=jnp.maximum(b.xx - keep * (kxa * pax + kxb * pbx), 1e-6),
-        xy=b.xy - keep * (kxa * pay + kxb * pby),
-        yy=jnp.maximum(b.yy - keep * (kya * pay + kyb * pby), 1e-6),
-        xt=b.xt - keep * (kxa * pat + kxb * pbt),
-        yt=b.yt - keep * (kya * pat + kyb * pbt),
-        tt=jnp.maximum(b.tt - keep * (kta * pat + ktb * pbt), 1e-6),
-        doubt=jnp.where(visible, jnp.where(fits, 0.0, b.doubt + 1), b.doubt),
-    )
-    return _turned(new, keep * (pat * wa + pbt * wb))
+def _found(b: Belief) -> tuple[Belief, Scalar]:
+    """The pose in which the last two different landmarks agree with the map, and whether they do.
 
-
-def pose(b: Belief) -> Pose:
-    """Where the robot believes it stands."""
-    return Pose(b.x, b.y, b.cos, b.sin, jnp.sqrt(jnp.maximum(b.xx, b.yy)), jnp.sqrt(b.tt))
+    Their difference on the map over that in the robot's frame, as complex numbers, is the heading.
+    """
+    one, two = b.newest, b.other
+    mx, my = two.map_x - one.map_x, two.map_y - one.map_y
+    rx, ry = two.x - one.x, two.y - one.y
+    on_map, in_sight = length(mx, my), length(rx, ry)
+    scale = 1 / (on_map * in_sight)
+    cos, sin = (mx * rx + my * ry) * scale, (my * rx - mx * ry) * scale
+    norm = jax.lax.rsqrt(jnp.maximum(cos * cos + sin * sin, 1e-12))
+    cos, sin = cos * norm, sin * norm
+    x, y = 0.5 * (one.x + two.x), 0.5 * (one.y + two.y)
+    far = length(one.x, one.y) + length(two.x, two.y)
+    # A tenth of the mean distance, and what odometry adds.
+    sd = 0.05 * far + 0.03 * (one.age + two.age)
+    fits = (two.age < MEMORY) & (jnp.abs(on_map - in_sight) < 3 * sd) & (in_sight > 0.3)
+    variance, zero = sd * sd, jnp.zeros_like(sd)
+    return b._replace(
+        x=0.5 * (one.map_x + two.map_x) - (cos * x - sin * y),
+        y=0.5 * (one.map_y + two.map_y) - (sin * x + cos * y),
+        cos=cos,
+        sin=sin,
+        xx=variance,
+        xy=zero,
+        xh=zero,
+        yy=variance,
+        yh=zero,
+        hh=2 * variance / jnp.maximum(on_map * on_map, 1e-6),
+        doubt=zero + ON_TRIAL,
+    ), fits
