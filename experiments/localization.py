@@ -13,6 +13,7 @@ bootstrap 95 % intervals), writes localization.csv, localization.png and .pdf.
 import dataclasses
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -225,12 +226,12 @@ def _mean(values: np.ndarray, digits: int = 2) -> str:
 def levels(options: Options, settings: logs.Settings):
     """(question, level, settings of its logs) of the questions about errors."""
     for factor in NOISE:
-        noise = settings.range_noise * factor, settings.bearing_noise * factor
-        change = {"range_noise": noise[0], "bearing_noise": noise[1]}
-        yield "noise, times 7 % and 2 degrees", factor, dataclasses.replace(settings, **change)
+        d, a = settings.range_noise * factor, settings.bearing_noise * factor
+        changed = dataclasses.replace(settings, range_noise=d, bearing_noise=a)
+        yield "noise, times 7 % and 2 degrees", factor, changed
     for sightings in SIGHTINGS:
-        change = {"sightings": sightings, "head": "any"}
-        yield "landmarks a step", sightings, dataclasses.replace(settings, **change)
+        changed = dataclasses.replace(settings, sightings=sightings, head="any")
+        yield "landmarks a step", sightings, changed
     for share in MISNAMED:
         yield "share of wrong names", share, dataclasses.replace(settings, misnamed=share)
 
@@ -307,11 +308,9 @@ def cost(options: Options, settings: logs.Settings) -> dict[str, float]:
 
     belief = kalman.unknown((robots,))
     runs: dict[str, tuple[Callable[[], Any], int]] = {
-        "Kalman (match)": (lambda: many(belief, *wide), robots * options.cost)
+        name: (partial(method, b, 0), options.cost) for name, method in METHODS.items()
     }
-    for name, method in METHODS.items():
-        if name not in runs:
-            runs[name] = (lambda method=method: method(b, 0), options.cost)
+    runs["Kalman (match)"] = partial(many, belief, *wide), robots * options.cost
     best = dict.fromkeys(runs, np.inf)
     for round_ in range(6):
         for name, (run, _) in runs.items():

@@ -34,14 +34,17 @@ class Particles(NamedTuple):
 def unknown(key: Array, num: int, length: float, width: float) -> Particles:
     """Anywhere on a field of that size (m)."""
     half = jnp.array([[length / 2], [width / 2], [math.pi]])
-    return Particles(*(half * jax.random.uniform(key, (3, num), minval=-1)), fit=jnp.ones(()))
+    x, y, heading = half * jax.random.uniform(key, (3, num), minval=-1)
+    return Particles(x, y, heading, jnp.ones(()))
 
 
-def known(key: Array, num: int, start: Float[Array, "3"], sd: float, sd_heading: float):
+def known(
+    key: Array, num: int, start: Float[Array, "3"], sd: float, sd_heading: float
+) -> Particles:
     """About a pose x, y (m), heading (rad); standard deviations in m and rad."""
     spread = jnp.array([[sd], [sd], [sd_heading]])
-    drawn = start[:, None] + spread * jax.random.normal(key, (3, num))
-    return Particles(*drawn, fit=jnp.ones(()))
+    x, y, heading = start[:, None] + spread * jax.random.normal(key, (3, num))
+    return Particles(x, y, heading, jnp.ones(()))
 
 
 def moved(key: Array, p: Particles, way: Displacement, noise: Noise) -> Particles:
