@@ -40,8 +40,6 @@ except ModuleNotFoundError as error:
         "fntg_jax.gym needs Gymnasium: pip install 'fntg-jax[gym]'", name="gymnasium"
     ) from None
 
-__all__ = ["EPISODE_STEPS", "Bioa", "BioaVector", "action_of", "command_of", "make"]
-
 EPISODE_STEPS = SAMPLE_STEPS[-1]
 _PROGRESS, _STOP, _CLEARANCE, _FALL = 1.3, 0.7 / 50, 1.0, 30.0
 _NEAR, _STILL, _GATE, _MARGIN = 0.05, 0.01, 0.4, 0.16  # m, m/s, m, m

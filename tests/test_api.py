@@ -1,9 +1,11 @@
 """The Python API: what it takes and refuses, and that importing is light."""
 
+import importlib
 import json
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -105,3 +107,15 @@ def test_everything_public_is_there():
         assert getattr(fntg_jax, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         fntg_jax.nothing  # noqa: B018
+
+
+def test_public_names_stand_in_init_files_and_exist():
+    root = Path(fntg_jax.__file__).parents[1]
+    for path in [*root.glob("fntg_jax/**/*.py"), *root.glob("envs/**/*.py")]:
+        if "__all__" not in path.read_text():
+            continue
+        assert path.name == "__init__.py", path
+        module = importlib.import_module(".".join(path.parent.relative_to(root).parts))
+        for name in module.__all__:
+            if not hasattr(module, name):  # a module of that package
+                importlib.import_module(f"{module.__name__}.{name}")
