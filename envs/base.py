@@ -302,6 +302,42 @@ class World(NamedTuple):
     film: Callable[[Any, Scene, Callable[[Any], Any], bool], Film] | None = None
 
 
+class Gene(NamedTuple):
+    """One number that a task learns: name, unit, least and largest value."""
+
+    name: str
+    unit: str = ""
+    low: float = -5.0
+    high: float = 5.0
+
+
+class Task(NamedTuple):
+    """What can be learnt: pure functions that run inside jit.
+
+    An entry point of the group "fntg_jax.tasks" names a function of options by name (floats) that
+    gives one.
+
+    name: in tables and files.  genes: anything with the fields of `Gene`, one a gene; theta is in
+    their units.
+    fitness: (key, theta [P, genes], memory, progress) -> (F [P], memory).  F is maximised, and
+    from 0 where selection goes by shares (roulette, sus); what is not finite counts as 0.  progress
+    runs from 0 in the first generation to 1 in the last.
+    init: key -> memory, a pytree of arrays: what fitness remembers from generation to generation (a
+    hall of fame, a curriculum).  Its structure and shapes never change; it is checkpointed.
+    judge: (key, theta [N, genes], memory) -> {name: numbers [N]}, on what no fitness was computed
+    from.  The last population's individual with the largest first number is the result; without
+    `judge` it is the best of all generations, which fits a fitness that does not change.
+    files: {gene: value} -> {file name: text}, the result in the task's own format, or None.
+    """
+
+    name: str
+    genes: tuple[Any, ...]
+    fitness: Callable[[Any, Any, Any, Any], tuple[Any, Any]]
+    init: Callable[[Any], Any] = lambda key: ()
+    judge: Callable[[Any, Any, Any], dict[str, Any]] | None = None
+    files: Callable[[dict[str, float]], dict[str, str]] | None = None
+
+
 def check_options(options: dict[str, float], known: Mapping[str, tuple[float, float]]) -> None:
     """Refuse an option that a world does not know or whose value is out of range.
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from envs.base import Gene, Task, World
     from fntg_jax.controller import Controller
     from fntg_jax.learning.fitness import PaperWeights, SmoothWeights
     from fntg_jax.learning.ga import GAConfig
@@ -30,16 +31,21 @@ __all__ = [
     "Controller",
     "Evaluation",
     "GAConfig",
+    "Gene",
     "History",
     "Learnt",
     "PaperWeights",
     "Progress",
     "SmoothWeights",
+    "Task",
     "TrainConfig",
+    "World",
     "evaluate",
     "gym",
     "learn",
     "load",
+    "register_task",
+    "register_world",
     "save",
     "shipped",
     "train",
@@ -49,12 +55,15 @@ _HOMES = {
     "Controller": "fntg_jax.controller",
     "Evaluation": "fntg_jax.running.evaluation",
     "GAConfig": "fntg_jax.learning.ga",
+    "Gene": "envs.base",
     "History": "fntg_jax.running.runner",
     "Learnt": "fntg_jax.running.learnt",
     "PaperWeights": "fntg_jax.learning.fitness",
     "Progress": "fntg_jax.running.runner",
     "SmoothWeights": "fntg_jax.learning.fitness",
+    "Task": "envs.base",
     "TrainConfig": "fntg_jax.running.settings",
+    "World": "envs.base",
 }
 
 
@@ -76,6 +85,7 @@ def learn(
     preset: str = "paper",
     out: str | Path | None = None,
     on_progress: "Callable[[Progress], None] | None" = None,
+    task: "Task | str" = "bioa",
     **options: Any,
 ) -> "Learnt":
     """Learn controllers and return the whole run: the best of all seeds and of each, and the
@@ -85,6 +95,7 @@ def learn(
         preset: "paper" (faithful to the paper) or "robust" (for scenes never seen in training).
         out: also write this run folder, as `fntg train` does.
         on_progress: called with a `Progress` after each chunk of generations, about once a second.
+        task: what to learn, by name, or a `Task` of your own.
         options: fields of `TrainConfig` over the preset's: seeds=10, layout="full-63",
             ga=GAConfig(population=120) for all of it, or ga={"population": 120} for a part.
 
@@ -93,7 +104,9 @@ def learn(
     from fntg_jax.running import learnt
 
     folder = None if out is None else Path(out)
-    done = learnt.learn(learnt.configure(preset, options), folder, on_progress)
+    mine = None if isinstance(task, str) else task
+    config = learnt.configure(preset, {**options, "task": task if mine is None else mine.name})
+    done = learnt.learn(config, folder, on_progress, mine)
     if folder is not None:
         from fntg_jax.showing import plots
 
@@ -105,19 +118,47 @@ def train(
     preset: str = "paper",
     out: str | Path | None = None,
     on_progress: "Callable[[Progress], None] | None" = None,
+    task: "Task | str" = "bioa",
     **options: Any,
-) -> "Controller":
-    """Learn controllers and return the best of all seeds: `learn(...).controller`.
+) -> "Controller | dict[str, float]":
+    """Learn, and return the best of all seeds: a controller (`learn(...).controller`), or in tasks
+    other than bioa gene by name to value (`learn(...).genes`).
 
     Args:
         preset: as of `learn`.
         out: as of `learn`.
         on_progress: as of `learn`.
+        task: as of `learn`.
         options: as of `learn`.
 
     Raises ValueError naming the field, its value and what is allowed.
     """
-    return learn(preset, out, on_progress, **options).controller
+    done = learn(preset, out, on_progress, task, **options)
+    return done.genes if done.controller is None else done.controller
+
+
+def register_world(name: str, world: "World") -> None:
+    """Make a world of your own known in this process, wherever a world is named.
+
+    Args:
+        name: of the world; it goes over an installed one of that name.
+        world: model and scenes (`envs.base.World`).
+    """
+    from fntg_jax.running import registry
+
+    registry.register(registry.WORLDS, name, world)
+
+
+def register_task(name: str, make: "Callable[..., Task]") -> None:
+    """Make a task of your own known in this process, wherever a task is named.
+
+    Args:
+        name: of the task; it goes over an installed one of that name.
+        make: options by name (floats) -> `envs.base.Task`.
+    """
+    from fntg_jax.running import registry
+
+    registry.register(registry.TASKS, name, make)
 
 
 def evaluate(

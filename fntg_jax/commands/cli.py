@@ -11,6 +11,7 @@ import io
 import os
 import re
 import sys
+import traceback
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,10 @@ def main(argv: list[str] | None = None) -> None:
         importlib.import_module(f"fntg_jax.commands.{command}").main(rest)
     except ValueError as error:
         refuse(str(error))
+    except _member_error() as error:
+        say(f"fntg: error: {error}:")
+        traceback.print_exception(error.__cause__)
+        raise SystemExit(1) from None
     except MemoryError:
         refuse("out of memory: take fewer genomes, scenes or seeds")
     except RuntimeError as error:
@@ -70,6 +75,13 @@ def main(argv: list[str] | None = None) -> None:
         # The reader has gone (`fntg ... | head`); nothing is left to say to it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(1) from None
+
+
+def _member_error() -> type[Exception]:
+    """`registry.MemberError`: asked for only when something was raised."""
+    from fntg_jax.running.registry import MemberError
+
+    return MemberError
 
 
 def refuse(message: str) -> None:

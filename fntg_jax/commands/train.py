@@ -58,8 +58,10 @@ def main(argv: list[str]) -> None:
         hosts.join(*meeting)
     if folder is None:
         resolved = problem.resolve(options.config)
+        task = options.config.task
+        kind = options.preset if task == "bioa" else task
         stamp = time.strftime("%Y%m%d-%H%M%S")
-        folder = options.out or Path("runs") / f"{options.preset}-{stamp}"
+        folder = options.out or Path("runs") / f"{kind}-{stamp}"
 
         def create() -> bytes:
             run_folder.create(folder, options.config)
@@ -95,10 +97,12 @@ def _train(folder: Path, run: Any, resumed: bool) -> None:
     if jax.process_count() > 1:
         where = f"process {jax.process_index()} of {jax.process_count()}"
         where += f", folder {folder}" if hosts.is_first() else ""
+    what = f"task {config.task}"
+    if run.problem.task is None:
+        what = f"{config.num_scenes} scenes, world {config.env}, layout {config.layout}"
     say(
         f"{config.seeds} run{'s' if config.seeds > 1 else ''} of {config.generations} generations, "
-        f"{config.ga.population} genomes x {config.num_scenes} scenes, world {config.env}, "
-        f"layout {config.layout}; {where}"
+        f"{config.ga.population} genomes x {what}; {where}"
     )
     if run.done:
         say("this run is complete: writing its results again")
@@ -119,9 +123,13 @@ def _train(folder: Path, run: Any, resumed: bool) -> None:
     except OSError as error:
         raise ValueError(f"{folder}: {error.strerror or error}") from None
     spread = f", median over seeds {np.median(result.fitness):.4g}" if config.seeds > 1 else ""
+    if result.judgement:
+        judged = {name: x[np.argmax(result.fitness)] for name, x in result.judgement.items()}
+        say("judged: " + ", ".join(f"{name} {x:.4g}" for name, x in judged.items()))
     say(f"best fitness {result.fitness.max():.4g}{spread}; {run.run_seconds:.2f} s of evolution")
+    found = "controller" if run.problem.task is None else "genes"
     if hosts.is_first():
-        say(f"figure {figure}, controller {folder / 'params.json'}")
+        say(f"figure {figure}, {found} {folder / 'params.json'}")
         print(folder)
 
 
@@ -238,5 +246,9 @@ def generation_bar(run: Any):
 
 
 def _words(p: Any) -> str:
-    speed = p.control_steps / max(p.seconds, 1e-9)
-    return f"best {p.best:.3g}  average {p.mean:.3g}  {speed / 1e6:.3g} M control steps/s"
+    words = f"best {p.best:.3g}  average {p.mean:.3g}"
+    if p.control_steps:
+        words += f"  {p.control_steps / max(p.seconds, 1e-9) / 1e6:.3g} M control steps/s"
+    if p.num_nonfinite:
+        words += f"  {p.num_nonfinite} genomes with NaN or infinite fitness"
+    return words

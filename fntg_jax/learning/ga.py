@@ -7,7 +7,7 @@ settings that differ only in floats share one compilation, and a sweep over them
 
 import dataclasses
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -246,6 +246,7 @@ class State(NamedTuple):
     generation: Int[Array, ""]
     best_bits: Bool[Array, " L"]
     best_fitness: Float[Array, ""]
+    memory: Any = ()  # of the task
 
 
 class Record(NamedTuple):
@@ -332,9 +333,7 @@ def _breed(key, bits, fitness, config, rate):
 
 
 def generation(state: State, fitness_fn: FitnessFn, config: GAConfig) -> tuple[State, Record]:
-    """Evaluate the population, record it, breed the next.
-
-    Non-finite fitness counts as 0, is never best, and is counted.
+    """Evaluate the population, then `advance`.
 
     Args:
         state: of the run.
@@ -344,9 +343,28 @@ def generation(state: State, fitness_fn: FitnessFn, config: GAConfig) -> tuple[S
     Returns:
         The state one generation later, and the record of this one.
     """
-    k_fitness, k_reproduce = jax.random.split(jax.random.fold_in(state.key, state.generation))
     theta = genome.decode(state.bits, config.num_bits, config.gray)
-    raw = fitness_fn(k_fitness, theta)
+    return advance(state, fitness_fn(fitness_key(state), theta), config)
+
+
+def fitness_key(state: State) -> Key[Array, ""]:
+    """What this generation's fitness may draw from."""
+    return jax.random.split(jax.random.fold_in(state.key, state.generation))[0]
+
+
+def advance(state: State, raw: Float[Array, " P"], config: GAConfig) -> tuple[State, Record]:
+    """Record a population, breed the next.
+
+    Args:
+        state: of the run.
+        raw: fitness of its population, maximised.  What is not finite counts as 0, is never best,
+            and is counted.
+        config: genetic algorithm.
+
+    Returns:
+        The state one generation later, and the record of this one.
+    """
+    k_reproduce = jax.random.split(jax.random.fold_in(state.key, state.generation))[1]
     finite = jnp.isfinite(raw)
     fitness = jnp.where(finite, raw, 0)
     champion = jnp.argmax(jnp.where(finite, raw, -jnp.inf))
@@ -364,6 +382,7 @@ def generation(state: State, fitness_fn: FitnessFn, config: GAConfig) -> tuple[S
         generation=state.generation + 1,
         best_bits=jnp.where(better, state.bits[champion], state.best_bits),
         best_fitness=jnp.where(better, champion_fitness, state.best_fitness),
+        memory=state.memory,
     )
     return new, record
 

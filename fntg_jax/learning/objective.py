@@ -4,12 +4,15 @@ from typing import Any, NamedTuple
 
 import jax
 
+from envs.base import Task
 from fntg_jax.controller import network
 from fntg_jax.controller.layout import Layout
 from fntg_jax.learning import fitness
 from fntg_jax.learning.fitness import PaperWeights, SmoothWeights
 from fntg_jax.learning.ga import GAConfig
 from fntg_jax.learning.rollout import rollout_pairs
+
+AXIS = "genome"  # of the devices that share a generation
 
 
 class Static(NamedTuple):
@@ -30,6 +33,16 @@ class Traced(NamedTuple):
     fitness: PaperWeights
     smooth: SmoothWeights
     scenes: Any
+
+
+def bioa(static: Static, traced: Traced) -> Task:
+    """The paper's learning problem: genes of the FNTG, judged in scenes of a world."""
+
+    def fitness(key, theta, memory, progress):
+        del progress
+        return score(static, traced, theta, draw_scenes(static, traced, key), axis=AXIS), memory
+
+    return Task("bioa", static.layout.genes, fitness)
 
 
 def score(static: Static, traced: Traced, theta, scenes, **options):

@@ -21,6 +21,8 @@ def of_run(run: Run, seed: int | None = None, result: Result | None = None) -> e
 
     result: of `run.conclude()`, where the caller has it already.
     """
+    if run.problem.task is not None:
+        raise ValueError(f"a run of task {run.config.task!r} has genes, and no controller")
     config = run.config
     row = None if seed is None else _row(config, seed)
     result = run.conclude() if result is None else result

@@ -17,6 +17,7 @@ from fntg_jax.running.problem import Problem
 
 _SCREENING = 256  # validation scenes for a first look at the whole population
 _FINALISTS = 16
+_JUDGE = 0x1D6E  # folded into a seed's key
 _VALIDATE_EVERY = 20  # steps of covariance adaptation
 
 
@@ -39,12 +40,16 @@ class Result(NamedTuple):
     fitness in the course of the refinement, None without.  Where all generations see the same
     scenes this is the best genome of all generations; where scenes change, the individual of
     the last population (or its refinement) that is best on validation scenes of their own.
+
+    In tasks with a judgement: the individual of the last population with the best first number of
+    it, which is its fitness here.  judgement: all numbers [S], from other draws than the choice.
     """
 
     theta: np.ndarray
     fitness: np.ndarray
     bits: np.ndarray | None
     refined: np.ndarray | None
+    judgement: dict[str, np.ndarray] | None = None
 
 
 def conclude(evolved: Evolved, show: Callable[[int, int, float], None]) -> Result:
@@ -53,11 +58,14 @@ def conclude(evolved: Evolved, show: Callable[[int, int, float], None]) -> Resul
     show: called with the steps of refinement done and wanted, and the best fitness so far (median
     over seeds).
     """
-    config, rows = evolved.problem.config, evolved.rows
-    if config.scene_pool == 0 and config.refine_steps == 0:
+    problem, rows = evolved.problem, evolved.rows
+    config, task = problem.config, problem.task
+    if task is not None and task.judge is not None:
+        return _judged(evolved, task.judge)
+    if task is not None or (config.scene_pool == 0 and config.refine_steps == 0):
         bits, value = rows.gather((evolved.state.best_bits, evolved.state.best_fitness))
         theta = genome.decode(bits, config.ga.num_bits, config.ga.gray)
-        return Result(np.asarray(theta), value, bits, None)
+        return Result(np.asarray(problem.in_units(theta)), value, bits, None)
     static = evolved.problem.static
     choose = jax.jit(partial(_choose, config=config, static=static, mesh=rows.mesh))
     arguments = evolved.state, evolved.traced, evolved.scenes, evolved.validation
@@ -69,6 +77,30 @@ def conclude(evolved: Evolved, show: Callable[[int, int, float], None]) -> Resul
     refine = {"gradient": _gradient, "cma": _cma}[config.refine_method]
     theta, cost, history = refine(evolved, theta, 10 / value, show)
     return Result(theta, 10 / cost, None, 10 / history)
+
+
+def _judged(evolved: Evolved, judge: Any) -> Result:
+    problem, rows, coding = evolved.problem, evolved.rows, evolved.problem.config.ga
+    names: list[str] = []
+
+    def one_seed(shared, state):
+        del shared
+        theta = problem.in_units(genome.decode(state.bits, coding.num_bits, coding.gray))
+        k_choice, k_report = jax.random.split(jax.random.fold_in(state.key, _JUDGE))
+        value = next(iter(judge(k_choice, theta, state.memory).values()))
+        best = _best_first(value)[0]
+        numbers = judge(k_report, theta[best][None], state.memory)
+        names[:] = numbers  # jax would sort a dict by its names
+        return theta[best], value[best], best, [x[0] for x in numbers.values()]
+
+    with problem.code():
+        program = jax.jit(over_seeds(one_seed, rows.mesh))
+        arguments = ((), (evolved.state,))
+        found = rows.compile(program, arguments)(*arguments)
+    theta, value, row, numbers = rows.gather(found)
+    bits = rows.gather(evolved.state.bits)[np.arange(rows.num), row]
+    value = np.where(np.isfinite(value), value, 0)  # what is not finite counts as 0
+    return Result(theta, value, bits, None, dict(zip(names, numbers)))
 
 
 def _choose(state, floats, scenes, validation, *, config, static, mesh):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from envs.base import Task
 from fntg_jax.controller.controller import Controller
 from fntg_jax.running import controllers, run_folder, runner, settings
 from fntg_jax.running.problem import resolve
@@ -19,16 +20,20 @@ class Learnt:
     """A completed learning run.
 
     Attributes:
-        controller: the best of all seeds.
-        controllers: the best of each seed, in the order of the seeds.
-        fitness: [seeds], of `controllers`.
+        controller: the best of all seeds; None in tasks other than bioa.
+        controllers: the best of each seed, in the order of the seeds; () in other tasks.
+        genes: gene by name to value, of the best of all seeds.
+        judgement: the task's held-out judgement of it, by name; empty where the task has none.
+        fitness: [seeds], of the best of each seed.
         history: what evolution recorded, leading axes (seed, generation).
         refined: [seeds, steps] fitness in the course of the refinement, None without one.
         config: all options of the run.
     """
 
-    controller: Controller
+    controller: Controller | None
     controllers: tuple[Controller, ...]
+    genes: dict[str, float]
+    judgement: dict[str, float]
     fitness: np.ndarray
     history: History
     refined: np.ndarray | None
@@ -73,12 +78,13 @@ def learn(
     config: TrainConfig,
     out: Path | None = None,
     on_progress: Callable[[Progress], None] | None = None,
+    task: Task | None = None,
 ) -> Learnt:
     """Learn to the end and, where `out` names a folder to be made, write a run folder.
 
     Raises ValueError where that exists already or the configuration does not do.
     """
-    run = runner.start(resolve(config))
+    run = runner.start(resolve(config, task))
     if out is not None:
         run_folder.create(out, config)
     runner.complete(run, on_progress)
@@ -87,10 +93,17 @@ def learn(
     else:
         run_folder.save_checkpoint(out, run)
         result = run_folder.finish(out, run)
-    seeds = range(config.first_seed, config.first_seed + config.seeds)
+    best, own = int(np.argmax(result.fitness)), None
+    each: tuple[Controller, ...] = ()
+    if run.problem.task is None:
+        seeds = range(config.first_seed, config.first_seed + config.seeds)
+        own = controllers.of_run(run, result=result)
+        each = tuple(controllers.of_run(run, seed, result) for seed in seeds)
     return Learnt(
-        controller=controllers.of_run(run, result=result),
-        controllers=tuple(controllers.of_run(run, seed, result) for seed in seeds),
+        controller=own,
+        controllers=each,
+        genes={g.name: float(x) for g, x in zip(run.problem.genes, result.theta[best])},
+        judgement={name: float(x[best]) for name, x in (result.judgement or {}).items()},
         fitness=np.asarray(result.fitness),
         history=run.history(),
         refined=result.refined,

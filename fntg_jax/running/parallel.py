@@ -13,10 +13,11 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
+from fntg_jax.learning.objective import AXIS
 from fntg_jax.learning.rollout import num_blocks
 from fntg_jax.running import hosts, memory
 
-GENOME = "genome"  # axis of the devices that share a generation
+GENOME = AXIS
 
 
 def make_mesh(num_seeds: int, num_trials: int) -> Mesh:

@@ -6,29 +6,41 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from envs.base import World
-from fntg_jax.controller.layout import Layout, get_layout
+from envs.base import Task
+from fntg_jax.controller.layout import HIGH, LOW, get_layout
+from fntg_jax.learning import objective
 from fntg_jax.learning.objective import Static, Traced
 from fntg_jax.running import settings
-from fntg_jax.running.registry import get_suite, get_world
+from fntg_jax.running.registry import code_of, get_suite, get_task, get_world
 from fntg_jax.running.settings import TrainConfig
 
 _POOL_KEY = 0x9001  # of the scenes of training and validation; evaluation draws others
 _VALIDATION = 2048  # scenes that the final controller is chosen on
 
 
+# Fields of a configuration that every task has; the others are those of bioa.
+_COMMON = ("task", "task_options", "seeds", "first_seed", "generations", "ga", "initial")
+
+
 class Problem(NamedTuple):
-    """What a run learns on.  suite: (key, num_scenes) -> scenes of training."""
+    """What a run learns.
+
+    genes: anything with the fields of `envs.base.Gene`.  task: None for bioa, whose task is made
+    from traced floats (`task_of`).  world, layout, env, suite ((key, num_scenes) -> scenes of
+    training): of bioa, None in other tasks.
+    """
 
     config: TrainConfig
-    world: World
-    layout: Layout
-    env: Any
-    suite: Any
+    genes: tuple[Any, ...]
+    task: Task | None = None
+    world: Any = None
+    layout: Any = None
+    env: Any = None
+    suite: Any = None
 
     @property
     def static(self) -> Static:
-        """What a program is compiled for."""
+        """What a program of bioa is compiled for."""
         c = self.config
         return Static(self.layout, c.output, c.objective, c.num_scenes, c.scene_pool > 0)
 
@@ -38,12 +50,47 @@ class Problem(NamedTuple):
         horizon = dataclasses.replace(c.ga, horizon=float(c.generations))
         return jax.tree.map(np.asarray, Traced(horizon, self.env, c.fitness, c.smooth, None))
 
+    def task_of(self, traced: Traced) -> Task:
+        """The task, also inside a compiled program."""
+        return objective.bioa(self.static, traced) if self.task is None else self.task
+
+    def in_units(self, theta: Any) -> Any:
+        """Genes [..., genes] from (-5, 5) to their own ranges."""
+        low, high = (np.asarray([getattr(g, n) for g in self.genes]) for n in ("low", "high"))
+        if (low == LOW).all() and (high == HIGH).all():
+            return theta
+        share = (theta - LOW) / (HIGH - LOW)
+        low, high = low.astype(theta.dtype), high.astype(theta.dtype)
+        return low * (1 - share) + high * share  # so that both ends come out exactly
+
+    @property
+    def ranges(self) -> np.ndarray | None:
+        """[genes, 2]: where genes start, in (-5, 5); None for anywhere."""
+        if self.config.initial == "uniform":
+            return None
+        if self.task is None:
+            return self.layout.partition
+        start = [getattr(g, "partition", (g.low, g.high)) for g in self.genes]
+        low, high = (np.asarray([getattr(g, n) for g in self.genes]) for n in ("low", "high"))
+        share = (np.asarray(start) - low[:, None]) / (high - low)[:, None]
+        return (LOW + (HIGH - LOW) * share).astype(np.float32)
+
+    def code(self) -> Any:
+        """A context in which failures of the task's or world's code are told from ours."""
+        if self.task is not None:
+            parts = (self.task.fitness, self.task.init, self.task.judge)
+            return code_of(f"task {self.config.task!r}", *(p for p in parts if p is not None))
+        suites = self.world.suites.values()
+        return code_of(f"world {self.config.env!r}", self.env, self.world.make, *suites)
+
     def scenes(self) -> tuple[Any, Any]:
         """Scenes of training, and those of validation, NumPy.
 
         They are the same where nothing is validated, and in the suite `paper`, which has its four
         starts and no others.
         """
+        if self.task is not None:
+            return (nothing := ()), nothing
         config, key = self.config, jax.random.key(_POOL_KEY)
         if config.scene_pool == 0:
             scenes = self.suite(key, config.num_scenes)
@@ -67,14 +114,47 @@ class Problem(NamedTuple):
         return self._replace(config=config, env=self.world.make(**config.env_options))
 
 
-def resolve(config: TrainConfig) -> Problem:
-    """Check a configuration and look up what it names.  Raises ValueError: field, value, what is
-    allowed."""
+def resolve(config: TrainConfig, task: Task | None = None) -> Problem:
+    """Check a configuration and look up what it names.
+
+    task: one that has no name in the registry; the configuration then takes its name.
+
+    Raises ValueError: field, value, what is allowed; `registry.MemberError` where the code of a
+    world or task cannot be imported.
+    """
+    if task is not None:
+        config = dataclasses.replace(config, task=task.name)
     settings.validate(config)
-    world = get_world(config.env)
-    suite = get_suite(world, config.suite)
-    env = world.make(**config.env_options)
-    return Problem(config, world, get_layout(config.layout), env, suite)
+    if config.task == "bioa" and task is None:
+        world = get_world(config.env)
+        suite = get_suite(world, config.suite)
+        env = world.make(**config.env_options)
+        layout = get_layout(config.layout)
+        return Problem(config, layout.genes, None, world, layout, env, suite)
+    for field in dataclasses.fields(config):
+        value, usual = getattr(config, field.name), getattr(TrainConfig(), field.name)
+        if field.name not in _COMMON and value != usual:
+            raise ValueError(
+                f"{field.name} = {value!r}: belongs to task bioa; task {config.task!r} has none"
+            )
+    found = get_task(config.task)(**config.task_options) if task is None else task
+    check_genes(found)
+    return Problem(config, tuple(found.genes), found)
+
+
+def check_genes(task: Task) -> None:
+    """Raises ValueError: task, gene, what is allowed."""
+    names = [gene.name for gene in task.genes]
+    if not names:
+        raise ValueError(f"task {task.name!r} has no genes: allowed are 1 and more")
+    if twice := {name for name in names if names.count(name) > 1}:
+        raise ValueError(f"task {task.name!r}: gene {min(twice)!r} is there twice")
+    for gene in task.genes:
+        if not (np.isfinite([gene.low, gene.high]).all() and gene.low < gene.high):
+            raise ValueError(
+                f"task {task.name!r}: gene {gene.name!r} has range {gene.low} to {gene.high}: "
+                "allowed are two finite numbers, the first the smaller one"
+            )
 
 
 def program_key(problem: Problem) -> tuple[Any, ...]:

@@ -3,6 +3,10 @@
 The trainer knows none of them by name.
 """
 
+import contextlib
+import inspect
+import traceback
+from collections.abc import Iterator
 from importlib import metadata
 from typing import Any
 
@@ -11,6 +15,31 @@ from envs.base import World
 WORLDS, TASKS, MATCHES = "fntg_jax.worlds", "fntg_jax.tasks", "fntg_jax.matches"
 
 _registered: dict[str, dict[str, Any]] = {WORLDS: {}, TASKS: {}, MATCHES: {}}
+
+
+class MemberError(Exception):
+    """The code of a world or task failed: which, in words.  Its cause is what was raised there."""
+
+
+@contextlib.contextmanager
+def code_of(what: str, *objects: Any) -> Iterator[None]:
+    """Raise `MemberError` from an exception that passed through the files of these objects
+    (functions, or the classes of what is none)."""
+    try:
+        yield
+    except MemberError:
+        raise
+    except Exception as error:
+        frames = {frame.filename for frame in traceback.extract_tb(error.__traceback__)}
+        for thing in objects:
+            thing = inspect.unwrap(getattr(thing, "func", thing))
+            code = thing if inspect.isroutine(thing) else type(thing)
+            with contextlib.suppress(TypeError, OSError):  # built in
+                if inspect.getfile(code) in frames:
+                    raise MemberError(
+                        f"the code of {what} failed, in {inspect.getfile(code)}"
+                    ) from error
+        raise
 
 
 def register(group: str, name: str, member: Any) -> None:
@@ -47,7 +76,11 @@ def _get(group: str, field: str, words: str, name: str) -> Any:
         raise ValueError(
             f"{field} = {name!r}: known {words} are {', '.join(names(group)) or 'none'}"
         )
-    return found[name].load()
+    try:
+        return found[name].load()
+    except Exception as error:  # a package of somebody else
+        kind = words.removesuffix("s")
+        raise MemberError(f"{kind} {name!r} cannot be imported: {found[name].value}") from error
 
 
 def get_suite(world: World, suite: str) -> Any:

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from envs.base import Task
 from fntg_jax import export
 from fntg_jax.files import write_atomically
-from fntg_jax.running import checkpoint, config_file, controllers, hosts, settings
+from fntg_jax.running import checkpoint, config_file, controllers, genes, hosts, settings
 from fntg_jax.running.problem import resolve
 from fntg_jax.running.provenance import provenance
 from fntg_jax.running.runner import History, Result, Run, decode_history, start
@@ -49,12 +50,13 @@ def save_checkpoint(folder: Path, run: Run) -> None:
         _write_npz(folder / "checkpoint.npz", arrays)
 
 
-def restore(folder: Path) -> Run:
-    """The run of a folder, at its last checkpoint.  Raises ValueError as `config_file.load`."""
+def restore(folder: Path, task: Task | None = None) -> Run:
+    """The run of a folder, at its last checkpoint.  task: what it learns, where that is not a
+    registered one.  Raises ValueError as `config_file.load`."""
     text = hosts.from_first(
         lambda: json.dumps(dataclasses.asdict(config_file.load(folder))).encode()
     )
-    problem = resolve(settings.from_dict(json.loads(text)))
+    problem = resolve(settings.from_dict(json.loads(text)), task)
     path = folder / "checkpoint.npz"
 
     def read() -> bytes:
@@ -103,13 +105,22 @@ def finish(
             "best": history.best,
             "mean": history.mean,
             "num_nonfinite": history.num_nonfinite,
-            "best_theta": decode_history(history, run.config),
+            "best_theta": run.problem.in_units(decode_history(history, run.config)),
             "theta": result.theta,
             "fitness": result.fitness,
             **({} if result.refined is None else {"refined": result.refined}),
+            **{f"judged_{name}": x for name, x in (result.judgement or {}).items()},
         },
     )
-    export.save(controllers.of_run(run, result=result), folder / "params.json")
+    if run.problem.task is None:
+        export.save(controllers.of_run(run, result=result), folder / "params.json")
+    else:
+        document = genes.document(run, result)
+        _write_json(folder / "params.json", document)
+        if run.problem.task.files is not None:
+            values = {gene["name"]: gene["value"] for gene in document["genes"]}
+            for name, text in run.problem.task.files(values).items():
+                write_atomically(folder / name, text.encode())
     took = {
         "num_devices": run.rows.mesh.size,
         "compile_seconds": round(run.compile_seconds, 3),

@@ -14,13 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from envs.base import Task
 from fntg_jax.controller import genome
 from fntg_jax.learning import ga
-from fntg_jax.learning.objective import Static, Traced, draw_scenes, score
 from fntg_jax.learning.rollout import EPISODE_STEPS
 from fntg_jax.running import final_choice, hosts, memory, warmstart
 from fntg_jax.running.final_choice import Evolved, Result
-from fntg_jax.running.parallel import GENOME, Rows, make_mesh, over_seeds
+from fntg_jax.running.parallel import Rows, make_mesh, over_seeds
 from fntg_jax.running.problem import Problem, resolve
 from fntg_jax.running.settings import TrainConfig
 
@@ -48,8 +48,10 @@ class Progress(NamedTuple):
     mean: float
     seconds: float
     control_steps: int
+    num_nonfinite: int = 0
 
 
+_MEMORY = 0x3E3  # folded into a seed's key, for the memory of its task
 _MAX_CHUNK = 10  # generations
 _CHUNK_SECONDS = 1.0  # how long a chunk should take
 
@@ -69,7 +71,8 @@ class Run:
         num_rows = config.seeds * max(len(variants), 1)
         self.rows = Rows(make_mesh(num_rows, num_trials), num_rows)
         # All seeds share the pool, so that a seed's result does not depend on its company.
-        scenes, validation = problem.scenes()
+        with problem.code():
+            scenes, validation = problem.scenes()
         self.scenes = self.rows.share(scenes)
         self.validation = self.scenes if validation is scenes else self.rows.share(validation)
         self.compile_seconds = 0.0
@@ -84,18 +87,21 @@ class Run:
 
     def restart(self, variants: Sequence[TrainConfig]) -> None:
         """Back to generation 0, with as many variants as before."""
-        config, layout = self.config, self.problem.layout
-        traced = [self.problem.variant(v).traced() for v in variants]
+        config, problem = self.config, self.problem
+        traced = [problem.variant(v).traced() for v in variants]
         seeds = np.tile(config.first_seed + np.arange(config.seeds), len(variants))
 
-        ranges = layout.partition if config.initial == "partition" else None
+        remember = (lambda key: ()) if problem.task is None else problem.task.init
 
         def init(s):
-            return ga.init(jax.random.key(s), layout.num_genes, config.ga, ranges)
+            key = jax.random.key(s)
+            state = ga.init(key, len(problem.genes), config.ga, problem.ranges)
+            return state._replace(memory=remember(jax.random.fold_in(key, _MEMORY)))
 
         each = jax.tree.map(lambda *x: np.repeat(np.stack(x), config.seeds, axis=0), *traced)
         self.traced = self.rows.place(each)
-        self.state = self.rows.place(seeds.astype(np.uint32), jax.vmap(init))
+        with problem.code():
+            self.state = self.rows.place(seeds.astype(np.uint32), jax.vmap(init))
         self.run_seconds = 0.0
         self.chunk = 1
         self.records: list[History] = []
@@ -110,8 +116,10 @@ class Run:
 
     @property
     def control_steps(self) -> int:
-        """Control steps of all seeds so far."""
+        """Control steps of all seeds so far; 0 where the task is not bioa."""
         c = self.config
+        if self.problem.task is not None:
+            return 0
         trials = self.generation * self.rows.num * c.ga.population * c.num_scenes
         return trials * EPISODE_STEPS
 
@@ -123,11 +131,13 @@ class Run:
             partial(
                 _advance,
                 mesh=self.rows.mesh,
-                make_fitness=partial(_make_fitness, self.problem.static),
+                problem=self.problem,
             )
         )
         arguments = self.state, self.traced, self.scenes, np.int32(1)
-        self._chunk = advance.lower(*arguments).compile()
+        with self.problem.code():
+            lowered = advance.lower(*arguments)
+        self._chunk = lowered.compile()
         self.memory_bytes = memory.check(self._chunk, len(self.rows.mesh.local_devices))
         self.compile_seconds += time.perf_counter() - start
         return time.perf_counter() - start
@@ -156,6 +166,7 @@ class Run:
             mean=float(np.median(newest.mean[:, -1])),
             seconds=self.run_seconds,
             control_steps=self.control_steps,
+            num_nonfinite=int(newest.num_nonfinite[:, -1].sum()),
         )
 
     def history(self) -> History:
@@ -174,15 +185,7 @@ class Run:
         return final_choice.conclude(evolved, show)
 
 
-def _make_fitness(static: Static, traced: Traced) -> ga.FitnessFn:
-    def fitness_fn(key, theta):
-        scenes = draw_scenes(static, traced, key)
-        return score(static, traced, theta, scenes, axis=GENOME)
-
-    return fitness_fn
-
-
-def _advance(state, floats, scenes, num, *, mesh, make_fitness):
+def _advance(state, floats, scenes, num, *, mesh, problem):
     """`num` generations, at most `_MAX_CHUNK`, for every row: leaves of state and floats [S, ...],
     records [S, _MAX_CHUNK, ...], of which the first num are filled.
 
@@ -192,10 +195,14 @@ def _advance(state, floats, scenes, num, *, mesh, make_fitness):
     def one_seed(shared, seed_state, seed_floats):
         scenes, num = shared
         traced = seed_floats._replace(scenes=scenes)
-        fitness_fn = make_fitness(traced)
+        task, coding = problem.task_of(traced), problem.config.ga
 
         def body(n, carry):
-            new, record = ga.generation(carry[0], fitness_fn, traced.ga)
+            state = carry[0]
+            theta = problem.in_units(genome.decode(state.bits, coding.num_bits, coding.gray))
+            progress = state.generation / jnp.maximum(traced.ga.horizon - 1, 1)
+            raw, memory = task.fitness(ga.fitness_key(state), theta, state.memory, progress)
+            new, record = ga.advance(state._replace(memory=memory), raw, traced.ga)
             return new, jax.tree.map(lambda xs, x: xs.at[n].set(x), carry[1], record)
 
         zeros = jnp.zeros(_MAX_CHUNK)
@@ -218,10 +225,18 @@ def start(problem: Problem) -> Run:
 
 
 def train(
-    config: TrainConfig = TrainConfig(), on_progress: Callable[[Progress], None] | None = None
+    config: TrainConfig = TrainConfig(),
+    on_progress: Callable[[Progress], None] | None = None,
+    task: Task | None = None,
 ) -> Run:
-    """Run to the end, in memory.  `fntg train` also writes a run folder."""
-    return complete(start(resolve(config)), on_progress)
+    """Run to the end, in memory.  `fntg train` also writes a run folder.
+
+    Args:
+        config: of the run.
+        on_progress: called after each chunk of generations.
+        task: what to learn, where it is not a registered one.
+    """
+    return complete(start(resolve(config, task)), on_progress)
 
 
 def complete(run: Run, on_progress: Callable[[Progress], None] | None = None) -> Run:

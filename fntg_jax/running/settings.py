@@ -21,7 +21,11 @@ from fntg_jax.running.registry import get_suite, get_world  # noqa: F401
 class TrainConfig:
     """One learning run, or several that differ in their seed.
 
+    Those from env to warm_start, refine_* and the weights are of task bioa alone.
+
     Attributes:
+        task: what is learnt, by its entry point name: bioa (the paper's), gait, ...
+        task_options: options of that task by name.
         env: world, by its entry point name.
         env_options: options of that world by name, e.g. dt 0.05 v_max 0.25.
         layout: gene table: paper-31, three-sigma-31, two-sigma-31, mirror-28, reduced-47,
@@ -50,6 +54,8 @@ class TrainConfig:
         smooth: weights of the smooth objective.
     """
 
+    task: str = "bioa"
+    task_options: dict[str, float] = dataclasses.field(default_factory=dict)
     env: str = "kinematic"
     env_options: dict[str, float] = dataclasses.field(default_factory=dict)
     layout: str = "paper-31"
@@ -140,7 +146,7 @@ def validate(config: TrainConfig) -> None:
         raise ValueError(
             f"refine_rate = {config.refine_rate}: allowed are numbers above 0, up to 1"
         )
-    if config.refine_top > min(16, config.ga.population):
+    if config.refine_steps and config.refine_top > min(16, config.ga.population):
         raise ValueError(
             f"refine_top = {config.refine_top}: allowed are 1 to {min(16, config.ga.population)}"
         )

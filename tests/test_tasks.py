@@ -1,0 +1,115 @@
+"""One trainer, several tasks: a user's own, with memory, progress, judgement and resume."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import fntg_jax
+from fntg_jax.commands import cli
+from fntg_jax.running import problem, registry, run_folder, runner, settings, xla
+
+GENES = (fntg_jax.Gene("x", "m", 0.0, 2.0), fntg_jax.Gene("y", "m", -1.0, 1.0))
+
+
+def fitness(key, theta, memory, progress):
+    noise = 1e-4 * jax.random.normal(key, (theta.shape[0],))
+    cost = jnp.sum((theta - jnp.asarray([1.5, -0.25])) ** 2, axis=1)
+    seen = memory["seen"].at[memory["count"]].set(progress)
+    return 1 / (0.01 + cost) + noise, {"seen": seen, "count": memory["count"] + 1, "key": key}
+
+
+def init(key):
+    return {"seen": jnp.zeros(6), "count": jnp.zeros((), int), "key": key}
+
+
+def judge(key, theta, memory):
+    del key
+    off = jnp.hypot(theta[:, 0] - 1.5, theta[:, 1] + 0.25)
+    return {"score": -off, "off": off, "asked": jnp.full(len(theta), memory["count"])}
+
+
+TASK = fntg_jax.Task("valley", GENES, fitness, init, judge, lambda genes: {"it.txt": str(genes)})
+OPTIONS = {"seeds": 2, "generations": 6, "ga": {"population": 16, "mutation_rate": 0.05}}
+
+
+def test_a_task_of_ones_own_learns_in_its_units_and_is_judged():
+    learnt = fntg_jax.learn(task=TASK, **OPTIONS)
+    assert learnt.controller is None and learnt.history.best.shape == (2, 6)
+    assert 0 <= learnt.genes["x"] <= 2 and -1 <= learnt.genes["y"] <= 1
+    assert list(learnt.judgement) == ["score", "off", "asked"] and learnt.judgement["asked"] == 6
+    off = np.hypot(learnt.genes["x"] - 1.5, learnt.genes["y"] + 0.25)
+    assert learnt.judgement["off"] == pytest.approx(off, abs=1e-5) and off < 0.5
+    assert fntg_jax.train(task=TASK, **OPTIONS) == learnt.genes
+
+
+def test_progress_runs_from_0_to_1_and_memory_survives_a_resume(tmp_path):
+    config = settings.from_dict({**OPTIONS, "task": "valley"})
+    whole = runner.complete(runner.Run(problem.resolve(config, TASK)))
+    np.testing.assert_allclose(whole.state.memory["seen"][0], np.arange(6) / 5, atol=1e-6)
+    folder = tmp_path / "run"
+    run_folder.create(folder, config)
+    part = runner.Run(problem.resolve(config, TASK))
+    part.chunk = 2
+    part.advance()
+    run_folder.save_checkpoint(folder, part)
+    again = runner.complete(run_folder.restore(folder, TASK))
+    plain = lambda run: [  # noqa: E731
+        np.asarray(jax.random.key_data(x) if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else x)
+        for x in jax.tree.leaves(run.state)
+    ]
+    for found, expected in zip(plain(again), plain(whole), strict=True):
+        np.testing.assert_array_equal(found, expected)
+    for found, expected in zip(again.history(), whole.history()):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_the_command_learns_a_registered_task(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(xla, "configure", lambda **_: None)
+    monkeypatch.setitem(registry._registered[registry.TASKS], "valley", lambda: TASK)
+    folder = tmp_path / "run"
+    options = ["--generations", "3", "--ga.population", "8", "--out", str(folder)]
+    cli.main(["train", "--task", "valley", *options])
+    assert "judged: score" in capsys.readouterr().err
+    document = json.loads((folder / "params.json").read_text())
+    assert [gene["name"] for gene in document["genes"]] == ["x", "y"]
+    assert (folder / "it.txt").exists() and (folder / "fig5.png").exists()
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["train", "--task", "valley", "--suite", "open", *options[:-1], str(folder) + "2"])
+    assert stop.value.code == 2
+    assert "suite = 'open': belongs to task bioa" in capsys.readouterr().err
+
+
+def test_failing_code_of_a_task_is_told_from_ours(monkeypatch, capsys):
+    def broken(key, theta, memory, progress):
+        first, second = theta.shape[0], *theta  # a mistake of its author
+        return first + second, memory
+
+    task = TASK._replace(fitness=broken)
+    with pytest.raises(registry.MemberError, match=r"code of task 'valley' failed, in .*test_tasks"):
+        fntg_jax.train(task=task, **OPTIONS)
+    monkeypatch.setattr(xla, "configure", lambda **_: None)
+    monkeypatch.setitem(registry._registered[registry.TASKS], "valley", lambda: task)
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["train", "--task", "valley", "--out", "/dev/null/x"])
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["train", "--task", "valley", "--generations", "2"])
+    told = capsys.readouterr().err
+    assert stop.value.code == 1
+    assert (
+        told.index("the code of task 'valley' failed")
+        < told.index("Traceback")
+        < told.index("a mistake of its author")
+    )
+
+
+def test_genes_are_checked():
+    for genes, words in (
+        ((), "has no genes"),
+        ((GENES[0], GENES[0]), "'x' is there twice"),
+        ((fntg_jax.Gene("z", "", 1.0, 1.0),), "'z' has range 1.0 to 1.0"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            problem.resolve(settings.TrainConfig(), TASK._replace(genes=genes))
