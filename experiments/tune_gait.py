@@ -1,6 +1,7 @@
-"""Evolve the walk with our own genetic algorithm, and look at what a gait does.
+"""Calibrate a walk, and look at what a gait does.
 
-python -m experiments.tune_gait evolve --out gait.json     some minutes on two cores
+fntg train --task gait --out runs/gait                                   evolves one
+python -m experiments.tune_gait calibrate --gait runs/gait/gait.json --out gait.json
 python -m experiments.tune_gait speed [--gait gait.json]   forward speed against command
 python -m experiments.tune_gait falls [--gait gait.json] [--variant full]
 
@@ -8,8 +9,6 @@ The table of commands is `python -m experiments.locomotion table`.
 """
 
 import dataclasses
-import json
-import sys
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -20,8 +19,6 @@ import tyro
 
 from experiments import script
 from fntg_jax.commands.cli import refuse
-from fntg_jax.controller import genome
-from fntg_jax.learning import ga
 from fntg_jax.running import xla
 
 
@@ -30,53 +27,20 @@ class Config:
     """Gait tuning.
 
     Attributes:
-        what: evolve, speed or falls.
-        gait: gait to look at, and where an evolved one has what does not evolve from (v_rate,
-            omega_rate); default the shipped one.
-        out: where the evolved gait goes.
+        what: calibrate, speed or falls.
+        gait: gait to look at; default the shipped one.
+        out: where the calibrated gait goes.
         variant: model of the falls.
         num: sequences of falls.
-        population, generations, seed: of the genetic algorithm.
+        seed: of the commands.
     """
 
-    what: tyro.conf.Positional[Literal["evolve", "speed", "falls"]] = "speed"
+    what: tyro.conf.Positional[Literal["calibrate", "speed", "falls"]] = "speed"
     gait: Path | None = None
     out: Path = Path("gait.json")
     variant: Literal["lean", "full"] = "lean"
     num: int = 100
-    population: int = 60
-    generations: int = 95
     seed: int = 0
-
-
-def evolve(config: Config, env) -> ga.State:
-    """Evolve a gait; rank selection, since fitness differences get small."""
-    from envs.quadruped import gait_task
-
-    settings = ga.GAConfig(
-        population=config.population, selection="rank", mutation_rate=0.01, num_elites=2
-    )
-
-    def fitness_fn(key, theta):
-        return gait_task.fitness(env, key, theta)[0]
-
-    advance = jax.jit(partial(ga.generation, fitness_fn=fitness_fn, config=settings))
-    state = ga.init(jax.random.key(config.seed), len(gait_task.GENES), settings)
-    for n in range(config.generations):
-        state, record = advance(state)
-        print(f"generation {n + 1}: best {record.best:.3f} mean {record.mean:.3f}", file=sys.stderr)
-    return state
-
-
-def document(gait, origin: str) -> str:
-    """A gait as the text of its JSON file."""
-    from envs.quadruped.locomotion import as_number
-
-    values = {
-        f.name: as_number(np.round(getattr(gait, f.name), 5)) for f in dataclasses.fields(gait)
-    }
-    file = {"format": "fntg-gait", "version": 2, "origin": origin, "gait": values}
-    return json.dumps(file, indent=2, allow_nan=False) + "\n"
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -88,7 +52,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def _main(config: Config) -> None:
-    script.check_least(config, population=4, generations=1, seed=0, num=1)
+    script.check_least(config, seed=0, num=1)
     if config.what != "falls" and config.variant == "full":
         raise ValueError(f"variant = 'full': allowed with {config.what} is lean")
     script.check_files(config, "out")
@@ -99,15 +63,11 @@ def _main(config: Config) -> None:
 
     gait = load_gait(config.gait or DEFAULT_GAIT)
     env = Quadruped(gait=gait)
-    if config.what == "evolve":
-        plain = dataclasses.replace(gait, calibration=type(gait)().calibration)
-        state = evolve(config, dataclasses.replace(env, gait=plain))
-        found = gait_task.gait_of(plain, genome.decode(state.best_bits, 15, False))
-        found = gait_task.calibrate(Quadruped(gait=found), jax.random.key(config.seed))
-        origin = f"experiments.tune_gait evolve --population {config.population}"
-        origin += f" --generations {config.generations} --seed {config.seed}"
-        config.out.write_text(document(found, origin), encoding="utf-8")
-        print(f"fitness {float(state.best_fitness):.3f}, written to {config.out}")
+    if config.what == "calibrate":
+        found = gait_task.calibrate(env, jax.random.key(config.seed))
+        origin = f"{config.gait or DEFAULT_GAIT}, calibrated with seed {config.seed}"
+        config.out.write_text(gait_task.document(found, origin), encoding="utf-8")
+        print(config.out)
     elif config.what == "speed":
         commands = np.array([[v, 0, 0] for v in np.arange(0.04, 0.33, 0.04)], np.float32)
         walks = jax.jit(partial(measure.steady, commands=commands))(env)

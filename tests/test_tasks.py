@@ -88,7 +88,7 @@ def test_failing_code_of_a_task_is_told_from_ours(monkeypatch, capsys):
         return first + second, memory
 
     task = TASK._replace(fitness=broken)
-    with pytest.raises(registry.MemberError, match=r"code of task 'valley' failed, in .*test_tasks"):
+    with pytest.raises(registry.MemberError, match=r"'valley' failed, in .*test_tasks"):
         fntg_jax.train(task=task, **OPTIONS)
     monkeypatch.setattr(xla, "configure", lambda **_: None)
     monkeypatch.setitem(registry._registered[registry.TASKS], "valley", lambda: task)

@@ -6,6 +6,7 @@ does not fall when commands jump.
 """
 
 import dataclasses
+import json
 from functools import partial
 from typing import NamedTuple
 
@@ -14,9 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from envs.base import Task
 from envs.quadruped import measure
 from envs.quadruped.environment import Quadruped
-from envs.quadruped.locomotion import Gait, as_number, slip_terms
+from envs.quadruped.locomotion import Gait, as_number, load_gait, slip_terms
 from envs.quadruped.rigid_body import Variation
 
 
@@ -144,3 +146,53 @@ def calibrate(env: Quadruped, key) -> Gait:
     terms = slip_terms(v, v_y, omega, np)
     rows = [np.linalg.lstsq(np.stack(t, 1), asked[up, n])[0] for n, t in enumerate(terms)]
     return dataclasses.replace(gait, calibration=as_number(np.round(rows, 4)))
+
+
+def document(gait: Gait, origin: str) -> str:
+    """A gait as the text of its JSON file, which `locomotion.load_gait` reads."""
+    values = {
+        f.name: as_number(np.round(getattr(gait, f.name), 5)) for f in dataclasses.fields(gait)
+    }
+    file = {"format": "fntg-gait", "version": 2, "origin": origin, "gait": values}
+    return json.dumps(file, indent=2, allow_nan=False) + "\n"
+
+
+def task() -> Task:
+    """The walk as a task of the trainer, from the shipped gait without its calibration.
+
+    Judged on the commands of `TABLE`, which no fitness is computed from: a score (errors in units
+    of the tolerances, falls 20), mean errors and the share of walks that fell.
+    """
+    plain = dataclasses.replace(load_gait(), calibration=Gait().calibration)
+    env = Quadruped(gait=plain)
+    low, high = (jnp.asarray([getattr(g, n) for g in GENES]) for n in ("low", "high"))
+
+    def own(theta):
+        values = {g.name: theta[n] for n, g in enumerate(GENES)}
+        return dataclasses.replace(env, gait=dataclasses.replace(plain, **values))
+
+    def fitness_fn(key, theta, memory, progress):
+        return fitness(env, key, 10 * (theta - low) / (high - low) - 5, memory, progress)
+
+    def judge_fn(key, theta, memory):
+        del key, memory
+
+        def one(theta):
+            walks = measure.steady(own(theta), TABLE)
+            v, omega = measure.errors(walks, jnp.asarray(TABLE))
+            fell = jnp.mean(walks.fallen.astype(v.dtype))
+            cost = jnp.mean(v) / 0.012 + jnp.mean(omega) / 0.05 + 20 * fell
+            return {
+                "score": 10 / (0.1 + cost),
+                "v_error": jnp.mean(v),
+                "omega_error": jnp.mean(omega),
+                "fallen": fell,
+            }
+
+        return jax.vmap(one)(theta)
+
+    def files(genes):
+        gait = dataclasses.replace(plain, **genes)
+        return {"gait.json": document(gait, "fntg train --task gait, not calibrated")}
+
+    return Task("gait", GENES, fitness_fn, judge=judge_fn, files=files)

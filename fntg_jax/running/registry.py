@@ -49,7 +49,9 @@ def register(group: str, name: str, member: Any) -> None:
 
 def names(group: str) -> list[str]:
     """All names known in a group, sorted."""
-    return sorted({*_registered[group], *(e.name for e in metadata.entry_points(group=group))})
+    own = {"bioa"} if group == TASKS else set()  # the trainer's own, see `problem.resolve`
+    installed = {e.name for e in metadata.entry_points(group=group)}
+    return sorted({*own, *_registered[group], *installed})
 
 
 def get_world(name: str) -> World:

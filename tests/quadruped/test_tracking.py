@@ -135,9 +135,9 @@ def test_a_wrong_gait_is_one_line_and_status_2(text, message, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["evolve", "--population", "0"], "population = 0: allowed are numbers from 4"),
+        (["falls", "--num", "0"], "num = 0: allowed are numbers from 1"),
         (["speed", "--variant", "full"], "variant = 'full': allowed with speed is lean"),
-        (["evolve", "--out", "/missing/g.json"], "allowed is a file in a folder that exists"),
+        (["calibrate", "--out", "/missing/g.json"], "allowed is a file in a folder that exists"),
         (["speed", "--gait", "missing.json"], "gait = missing.json: No such file"),
     ],
 )
