@@ -1,16 +1,19 @@
 """Files that are either the old or the new version, never half of one, and JSON that is safe
 inside other languages."""
 
+import errno
 import json
 import os
+import stat
 import tempfile
 from pathlib import Path
 from typing import Any
 
 
 def write_atomically(path: str | Path, data: bytes) -> None:
-    """Write a temporary file beside `path`, then rename.  Raises OSError."""
-    path = Path(path)
+    """Write a temporary file beside `path`, then rename.  A link stays one: the file that it
+    points at is replaced.  Raises OSError, also for what is no regular file."""
+    path = _target(path)
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name[:40]}.", dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as file:
@@ -25,6 +28,30 @@ def write_atomically(path: str | Path, data: bytes) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def check_out(path: str | Path) -> None:
+    """Before work begins: raises ValueError where `write_atomically` could not write."""
+    try:
+        target = _target(path)
+    except OSError as error:
+        raise ValueError(f"out = {path}: {error.strerror}") from error
+    if not target.parent.is_dir():
+        raise ValueError(f"out = {path}: {target.parent} is not a folder")
+
+
+def _target(path: str | Path) -> Path:
+    """The regular file, present or to be, that the path leads to."""
+    target = Path(os.path.realpath(path))
+    try:
+        mode = os.stat(target).st_mode
+    except FileNotFoundError:
+        return target
+    if not stat.S_ISREG(mode):
+        kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket"}
+        kind = kinds.get(stat.S_IFMT(mode), "a device")
+        raise OSError(errno.EEXIST, f"{kind}, which is not replaced by a file")
+    return target
 
 
 def inert_json(value: Any) -> str:

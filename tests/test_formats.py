@@ -2,6 +2,9 @@
 
 import ast
 import csv
+import os
+import re
+import stat
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +15,7 @@ from fntg_jax.commands import cli
 from fntg_jax.controller.layout import LAYOUTS, rules
 from fntg_jax.export import c_format, fll_format, numpy_format, verify
 from fntg_jax.files import inert_json
+from tests import octave
 from tests.controllers import random_controller
 
 FLL = Path(__file__).parent / "fll"
@@ -88,22 +92,86 @@ def test_fll_golden_vectors_of_pyfuzzylite(layout):
 
 
 @pytest.mark.parametrize(
-    ("old", "new"),
+    ("old", "new", "words"),
     [
-        ("AlgebraicProduct", "Minimum"),
-        ("V1111 and omega", "V1112 and omega"),
-        ("V1111 Function 0.04", "V1111 Function 0.05"),
-        ("  term: A1", "  term: A3"),
-        ("Engine: fntg", "Engine: other"),
-        ("lock-range: true", "lock-range: false"),
-        ("paper-31", "no-such"),
+        ("AlgebraicProduct", "Minimum", "rules: conjunction = 'Minimum'"),
+        ("  term: A1", "  term: A3", "'d_ball is A1' is not VARIABLE is TERM"),
+        ("lock-range: true", "lock-range: false", "v: lock-range = 'false': allowed is true"),
+        ("d_ball", "distance", "no InputVariable d_ball"),
+        ("A1 Sigmoid", "A1 Gaussian", "d_ball: term A1 is a Gaussian: allowed is Sigmoid"),
+        ("A1 Sigmoid", "A1 Sigmoid 9", "d_ball: term A1 = .* allowed are 2 numbers"),
+        ("le(x, 0)", "ge(x, 0)", "term D2: .* wanted are left, right, not influencing"),
+        ("gt(x, 0) * exp(", "gt(x, 0) * open(", "term D1: .* cannot be read"),
+        ("  rule: if d_ball is A1 and d_obstacle is B1 and theta_ball is C1 and theta_obstacle is "
+         "D1 then v is V1111 and omega is W1111\n", "", "no rule for terms 1, 1, 1 and 'left'"),
+        ("omega is W1111\n", "omega is W1111 with 0.5\n", "is not VARIABLE is TERM"),
+        ("A1 Sigmoid -2.302132862361 1.369616873215", "A1 Sigmoid 0 20", r"\(a_A1\) = 20"),
+        ("if d_ball", "if d_ball is very", "is not VARIABLE is TERM"),
     ],
-)
-def test_fll_of_others_is_refused(old, new):
+)  # fmt: skip
+def test_fll_of_another_structure_says_what_differs(old, new, words):
     text = (FLL / "paper-31.fll").read_text()
     assert old in text
-    with pytest.raises(ValueError, match=r"^f\.fll: "):
+    with pytest.raises(ValueError, match=rf"^f\.fll: .*{words}"):
         fll_format.loads(text.replace(old, new), "f.fll")
+
+
+@pytest.mark.parametrize("layout", ["paper-31", "full-63"])
+def test_fll_of_others_is_read(layout):
+    """As QtFuzzyLite saves it: other names, three decimals, comments, rules in another order, rule
+    constants as numbers."""
+    ours = fll_format.dumps(random_controller(layout, seed=3, output="clip"))
+    lines = ["#Code automatically generated with fuzzylite 6.0.", ""]
+    rounded = []
+    for line in ours.split("\n"):
+        numbers = r"(?<![\w.])\d+\.\d+(?![\w.])"
+        line = re.sub(numbers, lambda m: m[0] if "0.000" in m[0] else f"{float(m[0]):.3f}", line)
+        found = re.match(r"  term: ([VW]\d+) Function (.*)", line)
+        if found:
+            line = f"  term: {found[1]} Constant {eval(found[2]):.3f}"
+        rounded.append(line.replace("A1", "near").replace("D3", "clear"))
+    rules_ = [line + " with 1.000" for line in rounded if line.startswith("  rule")]
+    lines += [x for x in rounded if not x.startswith("  rule")]
+    lines += rules_[::-1]
+    text = "\n".join(lines).replace("Engine: fntg", "Engine: mine").replace("  ", "\t")
+    read = fll_format.loads(text)
+    # Rounded constants of mirrored rules are no longer exactly opposite.
+    assert read.layout.name == {"paper-31": "reduced-47"}.get(layout, layout)
+    assert read.output == "clip"
+    back = export.fll_format.dumps(read)
+    assert export.dumps(fll_format.loads(back)) == export.dumps(read)
+    wanted = random_controller(layout, seed=3, output="clip").params
+    for name in ("a_A", "c_B", "sigma"):
+        np.testing.assert_allclose(getattr(read.params, name), getattr(wanted, name), atol=2e-3)
+    for n, name in enumerate(("V", "Omega")):
+        found = getattr(read.params, name) + read.params.bias[n]
+        np.testing.assert_allclose(found, getattr(wanted, name) + wanted.bias[n], atol=2e-3)
+
+
+def test_fll_with_another_name_keeps_the_symmetry():
+    """Exact decimals: the 31 genes are found again, also in the scaled reading."""
+    ours = random_controller(seed=5)
+    read = fll_format.loads(fll_format.dumps(ours).replace("Engine: fntg", "Engine: mine"))
+    assert read.layout.name == "paper-31"
+    inputs = verify.observations(2000)
+    found, wanted = verify.reference(read, inputs), verify.reference(ours, inputs)
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+
+
+@pytest.mark.parametrize("layout", ["paper-31", pytest.param("full-63", marks=pytest.mark.slow)])
+def test_octave_computes_the_same_from_a_fis(tmp_path, layout):
+    if not octave.available():
+        pytest.skip("no octave-cli with the package fuzzy-logic-toolkit")
+    controller = random_controller(layout, seed=6)
+    # Corners, then drawn ones: Octave takes about 20 ms for each.
+    inputs = verify.observations(1000)[::10]
+    found = octave.run(tmp_path, export.fis_format.dumps(controller), inputs, controller.limits)
+    assert np.abs(found - verify.reference(controller, inputs)).max() < 1e-7
+
+
+def test_a_fis_needs_one_sigma():
+    with pytest.raises(ValueError, match=r"layout = 'three-sigma-31': a \.fis needs one sigma"):
+        export.fis_format.dumps(random_controller("three-sigma-31"))
 
 
 def test_edited_parameters_of_an_fll_are_read_from_its_terms():
@@ -120,13 +188,63 @@ def test_inert_json_is_json_without_marks():
     assert ast.literal_eval(text) == HOSTILE
 
 
-@pytest.mark.parametrize("to", ["json", "numpy", "fll", pytest.param("c", marks=needs_compiler)])
-def test_export_command_says_its_error_and_writes(tmp_path, capsys, to):
-    source = tmp_path / "params.json"
-    export.save(random_controller(), source)
-    cli.main(["export", str(source), str(tmp_path / "out"), "--to", to])
+FORMATS = {"json": ".json", "numpy": ".py", "c": ".h", "fll": ".fll", "fis": ".fis"}
+
+
+@pytest.fixture
+def source(tmp_path):
+    path = tmp_path / "params.json"
+    export.save(random_controller(), path)
+    return path
+
+
+@pytest.mark.parametrize("to", [*FORMATS])
+def test_the_name_of_the_file_says_the_format(source, capsys, to):
+    if to == "c" and c_format.compiler() is None:
+        pytest.skip("no C compiler")
+    out = source.with_name(f"out{FORMATS[to]}")
+    cli.main(["export", str(source), str(out)])
     said = capsys.readouterr()
     assert said.out == ""
-    assert "largest error over 20000 observations" in said.err
+    assert to == "fis" or "largest error over 20000 observations" in said.err
     cli.main(["export", str(source), "-", "--to", to])
-    assert capsys.readouterr().out == (tmp_path / "out").read_text()
+    assert capsys.readouterr().out == out.read_text()
+    cli.main(["export", str(source), str(out)])  # our own file is replaced
+
+
+def refused(capsys, *arguments):
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["export", *map(str, arguments)])
+    assert stop.value.code == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    return said
+
+
+def test_export_replaces_nothing_of_others(source, capsys):
+    other = source.with_name("precious.py")
+    other.write_text("x\n")
+    assert "not written by fntg export; --force replaces it" in refused(capsys, source, other)
+    assert other.read_text() == "x\n"
+    cli.main(["export", str(source), str(other), "--force"])
+    assert "Written by fntg-jax" in other.read_text()
+    capsys.readouterr()
+    assert "a name for c, not for json" in refused(capsys, source, "x.h", "--to", "json")
+    assert "names ending in .json" in refused(capsys, source, source.with_name("x.txt"))
+
+
+def test_export_writes_through_links_and_never_over_devices(source, capsys):
+    target, link = source.with_name("target.json"), source.with_name("link.json")
+    link.symlink_to(target)
+    cli.main(["export", str(source), str(link)])
+    assert link.is_symlink() and target.read_text() == source.read_text()
+    capsys.readouterr()
+    pipe, null = source.with_name("pipe.json"), source.with_name("null.json")
+    os.mkfifo(pipe)
+    null.symlink_to("/dev/null")
+    source.with_name("folder.json").mkdir()
+    for name, kind in (("pipe", "a FIFO"), ("null", "a device"), ("folder", "a folder")):
+        out = source.with_name(f"{name}.json")
+        said = refused(capsys, source, out, "--force")
+        assert f"{out}: {kind}, which is not replaced" in said
+    assert stat.S_ISFIFO(pipe.stat().st_mode) and stat.S_ISCHR(os.stat("/dev/null").st_mode)

@@ -156,7 +156,7 @@ def test_strings_stay_data_in_pages(title, name):
 @pytest.mark.parametrize("command", ["export", "rules", "plot", "replay", "report", "evaluate"])
 def test_strange_names_are_one_line(tmp_path, monkeypatch, capsys, command, name):
     monkeypatch.chdir(tmp_path)
-    rest = ["out"] if command == "export" else []
+    rest = ["out.json"] if command == "export" else []
     with pytest.raises(SystemExit) as stop:
         cli.main([command, name, *rest])
     said = capsys.readouterr()
@@ -173,7 +173,7 @@ def test_strange_names_are_one_line(tmp_path, monkeypatch, capsys, command, name
 def test_outputs_that_cannot_be_written(tmp_path, monkeypatch, capsys, command, out):
     monkeypatch.chdir(tmp_path)
     export.save(CONTROLLER, "p.json")
-    name = f"{out}.html" if command == "replay" else out
+    name = out + {"replay": ".html", "export": ".json"}.get(command, "")
     arguments = [name] if command == "export" else ["--out", name]
     if command == "plot" and out == ".":
         pytest.skip("a fine beginning of a name")

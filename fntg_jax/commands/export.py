@@ -12,18 +12,26 @@ from fntg_jax.commands.cli import load_controller, parse, say
 
 @dataclasses.dataclass(frozen=True)
 class ExportOptions:
-    """Write a controller in another format.  What was written is run on 20 000 observations
-    against a float64 reference; the largest errors go to stderr."""
+    """Write a controller in another format.  The name of the file says which: .json (the exchange
+    format), .py (NumPy only), .h (C99; the time of a call is printed too), .fll (FuzzyLite
+    Language), .fis (MATLAB's and Octave's fuzzy toolboxes).  What was written is run on 20 000
+    observations against a float64 reference; the largest errors go to stderr."""
 
     controller: Annotated[Path, tyro.conf.Positional]
-    """params.json, an exported .fll, or a run folder."""
+    """params.json, an .fll, or a run folder."""
     out: Annotated[Path, tyro.conf.Positional]
     """file to write; - for stdout."""
-    to: Literal["json", "numpy", "c", "fll"] = "json"
-    """format: json (the exchange format), numpy (one Python file), c (one C99 header; the time
-    of a call is printed too), fll (FuzzyLite Language)."""
+    to: Literal["", "json", "numpy", "c", "fll", "fis"] = ""
+    """format, where it goes to stdout (else json); of a file it has to fit the name."""
+    force: bool = False
+    """replace a file that fntg export has not written."""
     seed: int | None = None
     """of a run folder: this seed's best controller instead of the best of all."""
+
+
+_SUFFIXES = {".json": "json", ".py": "numpy", ".h": "c", ".fll": "fll", ".fis": "fis"}
+# What our own files have among their first bytes.
+_MARKS = (b'"format": "fntg-params"', b"Written by fntg-jax", b"Engine: fntg", b"Name='fntg'")
 
 
 def main(argv: list[str]) -> None:
@@ -31,10 +39,9 @@ def main(argv: list[str]) -> None:
     from fntg_jax.files import write_atomically
 
     to_file = str(options.out) != "-"
-    if to_file and not options.out.parent.is_dir():
-        raise ValueError(f"out = {options.out}: {options.out.parent} is not a folder")
+    to = _format(options) if to_file else options.to or "json"
     controller = load_controller(options.controller, options.seed)
-    text = _WRITERS[options.to](controller)
+    text = _WRITERS[to](controller)
     if not to_file:
         sys.stdout.write(text)
         return
@@ -43,6 +50,29 @@ def main(argv: list[str]) -> None:
     except OSError as error:
         raise ValueError(f"out = {options.out}: {error.strerror or error}") from None
     say(f"wrote {options.out}")
+
+
+def _format(options: ExportOptions) -> str:
+    """The format that the name of the file asks for.  Raises ValueError where it asks for none or
+    another than `to`, or where something stands there that is not ours."""
+    from fntg_jax.files import check_out
+
+    check_out(options.out)
+    to = _SUFFIXES.get(options.out.suffix.lower())
+    if to is None:
+        raise ValueError(
+            f"out = {options.out}: allowed are names ending in {', '.join(_SUFFIXES)}, and -"
+        )
+    if options.to not in ("", to):
+        raise ValueError(f"out = {options.out}: that is a name for {to}, not for {options.to}")
+    if options.out.exists() and not options.force:
+        with open(options.out, "rb") as file:
+            head = file.read(400)
+        if head and not any(mark in head for mark in _MARKS):
+            raise ValueError(
+                f"out = {options.out}: exists, not written by fntg export; --force replaces it"
+            )
+    return to
 
 
 def _json(controller: Any) -> str:
@@ -94,6 +124,14 @@ def _fll(controller: Any) -> str:
     return text
 
 
+def _fis(controller: Any) -> str:
+    from fntg_jax.export import fis_format
+
+    text = fis_format.dumps(controller)
+    say("FIS: not run here; docs/exports.md says how Octave checks it. Clip v and omega to Range")
+    return text
+
+
 def _check(controller: Any, what: str, commands: Any, double: bool) -> None:
     from fntg_jax.export import verify
 
@@ -107,4 +145,4 @@ def _check(controller: Any, what: str, commands: Any, double: bool) -> None:
         raise SystemExit(1)
 
 
-_WRITERS = {"json": _json, "numpy": _numpy, "c": _c, "fll": _fll}
+_WRITERS = {"json": _json, "numpy": _numpy, "c": _c, "fll": _fll, "fis": _fis}

@@ -1,15 +1,17 @@
-"""Trained controllers in files: JSON (the exchange format), NumPy, C99, FuzzyLite Language."""
+"""Trained controllers in files: JSON (the exchange format), NumPy, C99, FuzzyLite Language,
+MATLAB."""
 
 from pathlib import Path
 
 from fntg_jax.controller.controller import Controller, from_bits
-from fntg_jax.export import c_format, fll_format, json_format, numpy_format
+from fntg_jax.export import c_format, fis_format, fll_format, json_format, numpy_format
 from fntg_jax.export.json_format import dumps, loads, save, schema
 
 __all__ = [
     "Controller",
     "c_format",
     "dumps",
+    "fis_format",
     "fll_format",
     "from_bits",
     "json_format",

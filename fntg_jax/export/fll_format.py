@@ -13,7 +13,7 @@ import numpy as np
 from fntg_jax.controller import network
 from fntg_jax.controller.controller import Controller
 from fntg_jax.controller.layout import get_layout, rules
-from fntg_jax.export import json_format
+from fntg_jax.export import fll_foreign, json_format
 from fntg_jax.files import inert_json
 
 _INPUTS = (("d_ball", "A", "0 4"), ("d_obstacle", "B", "-1 1"), ("theta_ball", "C", "-3.2 3.2"))
@@ -64,10 +64,18 @@ def dumps(controller: Controller) -> str:
 
 
 def loads(text: str, source: str = "controller.fll") -> Controller:
-    """Read an engine that `dumps` wrote: parameters and limits from its terms and ranges, the
-    rest from its description.  Raises ValueError (one line); a text that `dumps` would not
-    write again is refused, so nothing in it is silently ignored."""
-    strange = f"{source}: not a controller that fntg export --to fll has written"
+    """Read an engine: one that `dumps` wrote comes back without loss, any other of the same
+    structure by `fll_foreign`.  Raises ValueError (one line) that says what differs."""
+    try:
+        return _own(text, source)
+    except ValueError:
+        return fll_foreign.loads(text, source)
+
+
+def _own(text: str, source: str) -> Controller:
+    """An engine that `dumps` wrote: parameters and limits from its terms and ranges, the rest from
+    its description.  A text that `dumps` would not write again is refused."""
+    strange = f"{source}: not a controller that fntg export has written"
     head = re.match(r"Engine: fntg\n  description: (.*)\n", text)
     if head is None:
         raise ValueError(strange)
