@@ -245,8 +245,8 @@ def _formula(text: str, what: str) -> Callable[[float], float]:
 
     def value(node: Any, x: float) -> float:
         match node:
-            case ast.Constant(value=int() | float()):
-                return float(node.value)
+            case ast.Constant(value=int() | float() as number):
+                return float(number)
             case ast.Name(id="x"):
                 return x
             case ast.UnaryOp(op=ast.USub()):
