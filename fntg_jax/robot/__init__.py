@@ -33,6 +33,8 @@ __all__ = ["Memory", "Team", "begin", "control"]
 DT = 0.1  # s, a control step
 _SCAN = 0.7  # s without a sight of the ball after which the head scans for it (assumed)
 _PENALISED = SIGNALS.index("penalised")
+_OWN_KICKOFF, _THEIR_KICKOFF = SIGNALS.index("kick-off own"), SIGNALS.index("kick-off theirs")
+_PENALISED = SIGNALS.index("penalised")
 _FALLEN = 5.0  # m/s^2, acceleration along the body's z below which it does not stand (g is 9.8)
 
 
@@ -56,17 +58,19 @@ class Team(NamedTuple):
     ground: planner.Ground
     sizes: sight.Sizes
     goalkeeper: Bool[Array, ""]
+    places: Float[Array, "2 N 2"]
 
 
 class Memory(NamedTuple):
     """What a robot carries from one control step to the next.
 
-    shirt: 0, 1, ...; step: control steps since it began; role: index into `planner.ROLES`; rule:
-    index into `planner.RULES` of the one that chose the last order.
+    shirt: 0, 1, ...; step: control steps since it began; signal: the referee's last; role: index
+    into `planner.ROLES`; rule: index into `planner.RULES` of the one that chose the last order.
     """
 
     shirt: Int[Array, ""]
     step: Int[Array, ""]
+    signal: Int[Array, ""]
     role: Int[Array, ""]
     rule: Int[Array, ""]
     order: Order
@@ -86,6 +90,7 @@ def begin(team: Team, shirt: Int[Array, ""], pose: Float[Array, "3"]) -> Memory:
     return Memory(
         shirt=jnp.asarray(shirt, jnp.int32),
         step=index,
+        signal=index,
         role=jnp.where(shirt == 0, planner.GOALKEEPER, planner.SUPPORTER).astype(jnp.int32),
         rule=index,
         order=Order(index + 1, need),
@@ -95,6 +100,14 @@ def begin(team: Team, shirt: Int[Array, ""], pose: Float[Array, "3"]) -> Memory:
         gaze=gaze.begin(),
         head=jnp.zeros(3, jnp.float32),
     )
+
+
+def _pick(table: Array, index: Array) -> Array:
+    """table[index] as selections: XLA's CPU compiler does not vectorise a gather."""
+    found = table[0]
+    for n in range(1, table.shape[0]):
+        found = jnp.where(index == n, table[n], found)
+    return found
 
 
 def control(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, Action]:
@@ -109,11 +122,19 @@ def control(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, Action]
     landmarks = jax.tree.map(lambda leaf: leaf[marks], seen)
     belief = localization.lifted(memory.belief, senses.signal == _PENALISED)
     belief = localization.update(belief, way, landmarks, team.map, dt=DT)
+    # A robot that is put on its place for a kick-off knows where that is, and where the ball lies.
+    kicks_off = (senses.signal == _OWN_KICKOFF) | (senses.signal == _THEIR_KICKOFF)
+    begins = kicks_off & (senses.signal != memory.signal)
+    which = jnp.where(senses.signal == _THEIR_KICKOFF, 1, 0)
+    place = _pick(_pick(team.places, which), memory.shirt)
+    put = localization.begin(jnp.stack([place[0], place[1], 0 * place[0]]))
+    belief = jax.tree.map(lambda a, b: jnp.where(begins, a, b), put, belief)
     pose = localization.pose(belief)
     # Communication: words of the teammates.
     heard = communication.merge(memory.heard, senses.heard, senses.heard_valid, memory.shirt, DT)
     # Planner: local map, role, choice of behaviour.
     around = local_map.moved(memory.map, way, turn, DT)
+    around = local_map.placed(around, pose, begins)
     around = local_map.sighted(around, seen, DT)
     around = local_map.told(around, heard, pose, team.genes.word_trusted)
     f = planner.facts(
@@ -158,6 +179,7 @@ def control(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, Action]
     say: UInt32[Array, 2] = jnp.where(speaks, communication.pack(word), jnp.uint32(0))
     return memory._replace(
         step=memory.step + 1,
+        signal=senses.signal,
         role=f.role,
         rule=rule,
         order=order,

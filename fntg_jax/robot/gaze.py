@@ -14,7 +14,7 @@ from fntg_jax.robot.messages import Scalar
 
 _SCAN_PERIOD = 3.0  # s: the head's speed allows a full pan in 1.0 s
 _GLANCE = 0.8  # s, how long a glance at the landmarks lasts
-_DOWN = -0.25  # rad, tilt while scanning: floor from 0.5 m on and landmarks alike
+_FAR, _NEAR = -0.2, -0.75  # rad, tilts of a scan: floor from 0.5 m on and landmarks; the feet
 
 
 class Gaze(NamedTuple):
@@ -62,9 +62,11 @@ def look(
     phase = time / _SCAN_PERIOD
     wave = 4 * jnp.abs(phase - jnp.floor(phase + 0.5)) - 1
     scan = wave * neck.high[1]
+    # Far one way, near the way back: a ball before the chest is seen by looking down only.
+    sweep = jnp.where(phase - jnp.floor(phase) < 0.5, _FAR, _NEAR)
     tilt, pan = look_to(ball[0], ball[1], jnp.full_like(ball[0], 0.042), neck)
     away = jnp.clip(pan + side * 1.0, neck.low[1], neck.high[1])
-    tilt = jnp.where(fresh & ~glance, tilt, jnp.where(glance, -0.05, _DOWN))
+    tilt = jnp.where(fresh & ~glance, tilt, jnp.where(glance, -0.05, sweep))
     pan = jnp.where(fresh & ~glance, pan, jnp.where(glance, away, scan))
     head = jnp.stack([tilt, pan, jnp.zeros_like(pan)])
     return Gaze(time, side), head

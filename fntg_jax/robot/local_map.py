@@ -6,6 +6,7 @@ and time add to it, a sighting or a message takes from it by its own uncertainty
 """
 
 import jax.numpy as jnp
+from jaxtyping import Array, Bool
 
 from envs.base import SEEN
 from fntg_jax.robot.geometry import length, polar
@@ -114,4 +115,19 @@ def told(memory: LocalMap, heard: Heard, pose: Pose, trust: Scalar | float) -> L
         sin=memory.sin.at[BALL].set(s),
         sd=memory.sd.at[BALL].set(sd),
         age=memory.age.at[BALL].set(newest),
+    )
+
+
+def placed(memory: LocalMap, pose: Pose, yes: Bool[Array, ""]) -> LocalMap:
+    """The map at a kick-off, where `yes`: the ball lies in the middle of the field."""
+    x, y = -pose.x, -pose.y
+    distance, c, s = polar(pose.cos * x + pose.sin * y, pose.cos * y - pose.sin * x)
+    put = lambda old, new: old.at[BALL].set(jnp.where(yes, new, old[BALL]))  # noqa: E731
+    return LocalMap(
+        distance=put(memory.distance, distance),
+        cos=put(memory.cos, c),
+        sin=put(memory.sin, s),
+        age=put(memory.age, 0.5),
+        sd=put(memory.sd, 0.1),
+        velocity=jnp.where(yes, 0.0, memory.velocity),
     )

@@ -120,9 +120,8 @@ def facts(
     approach_x, approach_y = _local(tx, ty, pose)
 
     kick, kickable = _best_kick(bx, by, aim, genes, kicks)
-    role = _role(
-        d_ball, misaligned, east, north, known, heard, role, (shirt == 0) & goalkeeper, genes
-    )
+    keeps = (shirt == 0) & goalkeeper
+    role = _role(d_ball, misaligned, east, north, known, heard, role, shirt, keeps, genes)
     # Places: goalkeeper before its line on the ball's side; supporter behind the ball, to the side
     # that has more room.
     keeper_y = jnp.clip(genes.keeper_side * north, -0.8 * ground.half_goal, 0.8 * ground.half_goal)
@@ -196,19 +195,25 @@ def _best_kick(bx, by, aim, genes, kicks):
     return best, least < genes.kick_angle
 
 
-def _role(d_ball, misaligned, east, north, known, heard, last, keeper, genes):
+def _role(d_ball, misaligned, east, north, known, heard, last, shirt, keeper, genes):
     """Attacker is who is nearest to the ball, by its own reckoning; who hears nothing goes."""
     own = d_ball + genes.turn_cost * jnp.abs(misaligned)
-    own = own - jnp.where(last == ATTACKER, genes.commit, 0.0)
     own = jnp.where(known, own, 9.0)
     first = jnp.ones(jnp.shape(own), bool)
     for mate in range(heard.x.shape[0]):
         counts = (heard.age[mate] < genes.mate_forgotten) & (heard.role[mate] != GOALKEEPER)
         bx = jnp.where(known, east, heard.ball_x[mate])
         by = jnp.where(known, north, heard.ball_y[mate])
-        theirs = length(bx - heard.x[mate], by - heard.y[mate])
-        theirs = theirs - jnp.where(heard.role[mate] == ATTACKER, genes.commit, 0.0)
-        first &= ~counts | (own <= theirs)
+        ax, ay = bx - heard.x[mate], by - heard.y[mate]
+        theirs = length(ax, ay)
+        # Its misalignment, as one's own: between its way to the ball and the ball's to the goal.
+        gx, gy = 1.5 - bx, -by
+        theirs = theirs + genes.turn_cost * jnp.abs(angle(ax * gx + ay * gy, ax * gy - ay * gx))
+        # Who attacks goes on, unless both do; between equals the lower shirt.
+        mine, its = last == ATTACKER, heard.role[mate] == ATTACKER
+        lead = jnp.where(mine & ~its, genes.commit, jnp.where(its & ~mine, -genes.commit, 0.0))
+        number = mate + (mate >= shirt)
+        first &= ~counts | (own - lead < theirs) | ((own - lead == theirs) & (shirt < number))
     role = jnp.where(first, ATTACKER, SUPPORTER)
     return jnp.where(keeper, GOALKEEPER, role)
 
@@ -314,7 +319,7 @@ RULES = (
         lambda f, g: ~f.known,
         3,
         lambda f, g: {
-            "d_ball": jnp.full_like(f.d_ball, 0.19),
+            "d_ball": jnp.full_like(f.d_ball, 0.165),
             "ball": f.search,
             "goal": jnp.zeros_like(f.aim),
         },

@@ -56,6 +56,7 @@ def of(
             field.ball_radius, field.landmark_foot, field.landmark_band, field.goal_height
         ),
         goalkeeper=jnp.asarray(goalkeeper),
+        places=jnp.asarray([match.rules.kickoff_own, match.rules.kickoff_theirs], jnp.float32),
     )
 
 
