@@ -12,12 +12,24 @@ from fntg_jax.running import xla
 @dataclasses.dataclass(frozen=True)
 class DoctorOptions:
     """Versions against the ranges that fntg-jax declares, devices, compilation cache, rendering
-    back end.  Exit status 1 when a package is missing or outside its range, else 0."""
+    back end, worlds and tasks by name.  Exit status 1 when a package is missing or outside its
+    range, else 0.
+
+    Attributes:
+        world: only run the conformance suite on this world (minutes where compiling takes them);
+            exit status 1 where it breaks a law.
+        task: the same for a task.
+    """
+
+    world: str = ""
+    task: str = ""
 
 
 def main(argv: list[str]) -> None:
-    parse(DoctorOptions, argv, "doctor")
+    options = parse(DoctorOptions, argv, "doctor")
     xla.configure()
+    if options.world or options.task:
+        raise SystemExit(0 if _conforms(options) else 1)
     healthy = True
     print(f"fntg-jax {metadata.version('fntg-jax')}, Python {platform.python_version()}")
     print(f"{platform.system()} {platform.machine()}, {os.cpu_count()} CPUs\n")
@@ -30,9 +42,48 @@ def main(argv: list[str]) -> None:
         healthy &= fits or (installed is None and bool(optional))
         print(f"{name:18s}{installed or '-':14s}{str(tested) or 'any':22s}{verdict}")
     print()
-    for line in (*_devices(), _cache(), *_rendering(), *_deadlock()):
+    for line in (*_devices(), _cache(), *_rendering(), *_deadlock(), *_members()):
         print(line)
     raise SystemExit(0 if healthy else 1)
+
+
+def _members() -> list[str]:
+    from fntg_jax.running import registry
+
+    return [
+        f"{what}: {', '.join(registry.names(group))}"
+        for what, group in (
+            ("worlds", registry.WORLDS),
+            ("tasks", registry.TASKS),
+            ("matches", registry.MATCHES),
+        )
+    ]
+
+
+def _conforms(options: DoctorOptions) -> bool:
+    """Print what the conformance suites find; whether nothing is wrong."""
+    from fntg_jax.running import conformance, problem, registry, settings
+
+    checks = []
+    if options.world:
+        world = registry.get_world(options.world)
+        own = (world.make, *world.suites.values())
+        with registry.code_of(f"world {options.world!r}", *own):
+            own = (*own, world.make())
+        checks.append((f"world {options.world!r}", own, conformance.world(world)))
+    if options.task:
+        resolved = problem.resolve(settings.TrainConfig(task=options.task))
+        bound = resolved.task_of(resolved.traced()._replace(scenes=resolved.scenes()[0]))
+        checks.append((f"task {options.task!r}", (bound.fitness,), conformance.task(bound)))
+    right = True
+    for what, own, suite in checks:
+        print(what)
+        with registry.code_of(what, *own):
+            for check in suite:
+                right &= not check.wrong
+                verdict = f"WRONG: {check.wrong}" if check.wrong else "ok"
+                print(f"  {check.what:58s}{verdict}", flush=True)
+    return right
 
 
 def packages() -> list[tuple]:
