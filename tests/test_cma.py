@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from fntg_jax.learning import cma
 
@@ -75,3 +76,26 @@ def test_the_last_round_may_be_short():
     short, long = (adapt(ellipsoid, num_steps=n, validate_every=20) for n in (25, 40))
     assert short.history.shape == long.history.shape == (3,)
     assert short.history[1] == long.history[1] and short.history[2] != long.history[2]
+
+
+def test_fifty_steps_are_those_of_another_implementation():
+    """PyPI's `cmaes` (Nomura and Shibata), without its negative weights, told the same samples."""
+    cmaes = pytest.importorskip("cmaes")
+    asked = []
+
+    def cost(theta, scenes):
+        asked.append(np.asarray(theta, float))
+        return ellipsoid(theta, jnp.zeros(1))
+
+    search, other = cma.init(jnp.zeros(8), 0.3), cmaes.CMA(np.zeros(8), 0.3, population_size=16)
+    other._weights = np.maximum(other._weights, 0)
+    step = cma.make_step(8, 16, cost)
+    for n in range(50):
+        search, skipped = step(jax.random.key(n), search, None, n)
+        value = np.asarray(ellipsoid(jnp.asarray(asked[-1], jnp.float32), jnp.zeros(1)))
+        assert skipped == 0 and (abs(asked[-1]) < 5).all()  # no bound took part
+        other.tell(list(zip(asked[-1], value)))
+        np.testing.assert_allclose(search.mean, other.mean, atol=1e-4)
+        np.testing.assert_allclose(search.sigma, other._sigma, rtol=1e-3)
+        np.testing.assert_allclose(search.C, other._C, rtol=1e-2, atol=1e-3 * other._C.max())
+    assert other._C.max() > 3 * np.median(np.diag(other._C)) or search.sigma < 0.2  # it adapted

@@ -3,7 +3,8 @@
 The roll-out jumps where "left" and "right" swap and where another obstacle becomes the nearest.
 A pathwise gradient knows nothing of these jumps (see `refine`); a cloud of samples does, and
 learns which genes have to move together.  Equations and constants: N. Hansen, "The CMA Evolution
-Strategy: A Tutorial", arXiv:1604.00772, with rank-one and rank-mu updates and no negative weights.
+Strategy: A Tutorial", arXiv:1604.00772 (numbers in brackets below), with rank-one and rank-mu
+updates and no negative weights.
 """
 
 from collections.abc import Callable
@@ -142,13 +143,13 @@ def make_step(n: int, population: int, costs_fn: CostsFn):
     """One sampling and update of n genes: (key, search, scenes, number of the step from 0) ->
     search, samples skipped."""
     num = population // 2
-    weights = np.log(num + 0.5) - np.log(np.arange(1, num + 1))
-    weights /= weights.sum()
-    mu = 1 / np.sum(weights**2)
-    c_c = (4 + mu / n) / (n + 4 + 2 * mu / n)
-    c_sigma = (mu + 2) / (n + mu + 5)
-    c_1 = 2 / ((n + 1.3) ** 2 + mu)
-    c_mu = min(1 - c_1, 2 * (mu - 2 + 1 / mu) / ((n + 2) ** 2 + mu))
+    weights = np.log(num + 0.5) - np.log(np.arange(1, num + 1))  # (49)
+    weights /= weights.sum()  # (53)
+    mu = 1 / np.sum(weights**2)  # (8)
+    c_c = (4 + mu / n) / (n + 4 + 2 * mu / n)  # (56)
+    c_sigma = (mu + 2) / (n + mu + 5)  # (55), with the damping
+    c_1 = 2 / ((n + 1.3) ** 2 + mu)  # (57)
+    c_mu = min(1 - c_1, 2 * (mu - 2 + 1 / mu) / ((n + 2) ** 2 + mu))  # (58)
     damping = 1 + 2 * max(0.0, np.sqrt((mu - 1) / (n + 1)) - 1) + c_sigma
     chi = np.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n * n))  # expected length of N(0, I)
     weights = jnp.asarray(weights, jnp.float32)
@@ -157,27 +158,29 @@ def make_step(n: int, population: int, costs_fn: CostsFn):
         mean, sigma, C, p_sigma, p_c = search
         eigenvalues, B = jnp.linalg.eigh(C)
         D = jnp.sqrt(jnp.maximum(eigenvalues, 1e-10))
-        y = (jax.random.normal(key, (population, n)) * D) @ B.T
-        x = mean + sigma * y
+        y = (jax.random.normal(key, (population, n)) * D) @ B.T  # (38), (39)
+        x = mean + sigma * y  # (40)
         cost = costs_fn(inside(x), scenes)
         finite = jnp.isfinite(cost)
         outside = jnp.sum((x - inside(x)) ** 2, axis=1)
         order = jnp.argsort(jnp.where(finite, cost + _OUTSIDE * outside, jnp.inf))[:num]
         y = y[order]
-        y_mean = weights @ y
+        y_mean = weights @ y  # (41)
         p_sigma = (1 - c_sigma) * p_sigma + np.sqrt(c_sigma * (2 - c_sigma) * mu) * (
             B @ ((B.T @ y_mean) / D)
-        )
+        )  # (43)
         length = jnp.linalg.norm(p_sigma) / chi
         settled = jnp.sqrt(1 - (1 - c_sigma) ** (2.0 * (count + 1)))
         h = (length / settled < 1.4 + 2 / (n + 1)).astype(C.dtype)
-        p_c = (1 - c_c) * p_c + h * np.sqrt(c_c * (2 - c_c) * mu) * y_mean
-        C = (
+        p_c = (1 - c_c) * p_c + h * np.sqrt(c_c * (2 - c_c) * mu) * y_mean  # (45)
+        C = (  # (47), without negative weights
             (1 - c_1 - c_mu) * C
             + c_1 * (jnp.outer(p_c, p_c) + (1 - h) * c_c * (2 - c_c) * C)
             + c_mu * (weights * y.T) @ y
         )
+        # (44), with a bound of our own: no step is longer than the genes' range.
         sigma = jnp.minimum(sigma * jnp.exp((c_sigma / damping) * (length - 1)), HIGH - LOW)
+        # (42) with c_m = 1, equation (54).
         return Search(mean + search.sigma * y_mean, sigma, C, p_sigma, p_c), jnp.sum(~finite)
 
     return step
