@@ -1,6 +1,8 @@
 """The genetic algorithm behind evosax's interface: evosax's own tests of population-based
 algorithms, on ours and on its SimpleGA, and what holds for ours alone."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -165,3 +167,10 @@ def test_solutions_are_pytrees():
 def test_a_bad_setting_is_named():
     with pytest.raises(ValueError, match=r"ga\.population = 7"):
         GeneticAlgorithm(7, jnp.zeros(2))
+
+
+def test_params_that_read_genomes_otherwise_are_refused():
+    algorithm = GeneticAlgorithm(8, jnp.zeros(3))
+    params = dataclasses.replace(algorithm.default_params, gray=True)
+    with pytest.raises(ValueError, match=r"params.gray = True.*made with False"):
+        algorithm.init(jax.random.key(0), jnp.zeros((8, 3)), jnp.zeros(8), params)

@@ -73,6 +73,7 @@ class GeneticAlgorithm:
     @partial(jax.jit, static_argnums=0)
     def ask(self, key: Key[Array, ""], state: State, params: GAConfig) -> tuple[Any, State]:
         """A new population: selection, crossover, mutation, elites."""
+        self._check(params)
         finite = jnp.isfinite(state.fitness)
         worst = jnp.max(jnp.where(finite, state.fitness, -jnp.inf), initial=-jnp.inf)
         weight = jnp.where(finite, worst - state.fitness, 0)
@@ -123,7 +124,18 @@ class GeneticAlgorithm:
         """The newest population, as a pytree with a leading axis."""
         return self._solutions(state.bits, self.default_params)
 
+    def _check(self, params):
+        """What a population is read by must be the same in all calls; some know no params."""
+        for name in ("population", "num_bits", "gray"):
+            value, own = getattr(params, name), getattr(self.default_params, name)
+            if value != own:
+                raise ValueError(
+                    f"params.{name} = {value!r}: this algorithm was made with {own!r}; make one "
+                    "with another config"
+                )
+
     def _take(self, state, population, fitness, params):
+        self._check(params)
         flat = self._flat(population)
         cost = jnp.where(jnp.isnan(fitness), jnp.inf, fitness)
         best = jnp.argmin(cost)

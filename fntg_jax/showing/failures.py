@@ -42,14 +42,9 @@ def picture(
     """
     import matplotlib
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     rows = [max(1, -(-min(MOST, int(np.sum(~r.success))) // _COLUMNS)) for r in results]
-    with plt.rc_context(plots.RC):
-        figure = plt.figure(
-            figsize=(2.9 * _COLUMNS, sum(2.25 * n + 0.5 for n in rows) + 0.4), layout="constrained"
-        )
+    with matplotlib.rc_context(plots.RC):
+        figure = plots.new_figure(2.9 * _COLUMNS, sum(2.25 * n + 0.5 for n in rows) + 0.4)
         heights = [2.25 * n + 0.5 for n in rows]
         parts = figure.subfigures(len(results), 1, height_ratios=heights, squeeze=False)[:, 0]
         for part, num_rows, result in zip(parts, rows, results):

@@ -63,7 +63,7 @@ def memberships(controllers: list[tuple[str, Controller]], field: Any, path: str
 
 def surfaces(controllers: list[tuple[str, Controller]], field: Any, path: str | Path) -> Path:
     """v and omega over (d_B, theta_B), without and with an obstacle; writes PNG and PDF."""
-    import matplotlib.pyplot as plt
+    import matplotlib
 
     rows = [(quantity, obstacle) for quantity in (0, 1) for obstacle in _OBSTACLES]
     figure, axes = new_grid(4, len(controllers), 3.9 * len(controllers) + 0.8, 10.0)
@@ -74,7 +74,7 @@ def surfaces(controllers: list[tuple[str, Controller]], field: Any, path: str | 
     v_high = max(float(c.limits.v_max) for _, c in controllers)
     turn = max(float(c.limits.omega_max) for _, c in controllers)
     scales = (("viridis", v_low, v_high, "$v$ (m/s)"), ("PuOr_r", -turn, turn, r"$\omega$ (rad/s)"))
-    with plt.rc_context(RC):
+    with matplotlib.rc_context(RC):
         for row, (quantity, (words, d_obstacle, theta_obstacle)) in enumerate(rows):
             colours, low, high, name = scales[quantity]
             for panel, (title, controller) in zip(axes[row], controllers):

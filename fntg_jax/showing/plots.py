@@ -31,36 +31,40 @@ RC: Any = {
 
 
 def _new(width: float, height: float, rows: int = 1):
+    with _style():
+        figure = new_figure(width, height)
+        return figure, figure.subplots(rows, 1, sharex=True)
+
+
+def new_figure(width: float, height: float) -> Any:
+    """An empty figure (inches) that pyplot does not know: the caller's back end stays as it is."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _style() -> Any:
     import matplotlib
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    with plt.rc_context(RC):
-        return plt.subplots(rows, 1, figsize=(width, height), layout="constrained", sharex=True)
+    return matplotlib.rc_context(RC)
 
 
 def new_grid(rows: int, columns: int, width: float, height: float) -> tuple[Any, Any]:
     """A figure (inches) and its panels [rows, columns], with no scales shared."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    with plt.rc_context(RC):
-        size = (width, height)
-        return plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
+    with _style():
+        figure = new_figure(width, height)
+        return figure, figure.subplots(rows, columns, squeeze=False)
 
 
 def save(figure: Any, path: str | Path) -> Path:
-    """Write `path` as PNG and as PDF, close the figure, return the PNG's path."""
-    import matplotlib.pyplot as plt
-
+    """Write `path` as PNG and as PDF, return the PNG's path."""
     path = Path(path)
-    with plt.rc_context(RC):
+    with _style():
         figure.savefig(path.with_suffix(".pdf"), bbox_inches="tight")
         figure.savefig(path.with_suffix(".png"), bbox_inches="tight")
-    plt.close(figure)
     return path.with_suffix(".png")
 
 

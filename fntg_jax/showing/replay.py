@@ -199,9 +199,6 @@ def animation(panels: list[dict[str, Any]], image_format: str) -> bytes:
             view.show(time)
         figure.canvas.draw()
         frames.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()))
-    import matplotlib.pyplot as plt
-
-    plt.close(figure)
     return encode(frames, dt * _STRIDE / SPEED, image_format)
 
 
