@@ -5,6 +5,7 @@ A body is a capsule along its heading for other bodies and walls, and a rounded 
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
@@ -273,8 +274,9 @@ def push(bodies: Bodies, robots: Robots, field: Field) -> Robots:
     ch, sh = cos_sin(jnp.clip(spin, -0.3, 0.3))
     c, s = _product(c, s, ch, sh)
     x, y = x + wx, y + wy
-    wx, wy, _ = _walls(x, y, c, s, half, bodies, field, on, lever=False)
-    x, y = x + wx, y + wy
+    # Whatever a lever has left in the wall.
+    wx, wy = _clamp(x, y, half * c, half * s, radius, field)
+    x, y = jnp.where(on, x + wx, x), jnp.where(on, y + wy, y)
     long = 1.5 - 0.5 * (c * c + s * s)  # one Newton step towards length 1
     return robots._replace(x=x, y=y, cos=c * long, sin=s * long)
 
@@ -289,9 +291,9 @@ def _contact(dx, dy, c1, s1, c2, s2, half1, half2, reach, on):
     t2 = jnp.clip(b * t1 + p2, -half2, half2)
     t1 = jnp.clip(b * t2 - p1, -half1, half1)
     gx, gy = dx + t1 * c1 - t2 * c2, dy + t1 * s1 - t2 * s2
-    gap = distance(gx, gy)
-    depth = jnp.where(on, jnp.maximum(reach - gap, 0), 0.0)
-    one = 1 / gap
+    gap2 = jnp.maximum(gx * gx + gy * gy, 1e-12)
+    one = jax.lax.rsqrt(gap2)
+    depth = jnp.where(on, jnp.maximum(reach - gap2 * one, 0), 0.0)
     nx, ny = gx * one, gy * one
     lever1, lever2 = t1 * (c1 * ny - s1 * nx), t2 * (c2 * ny - s2 * nx)
     share = 0.8 * depth / (2 + SPIN * (lever1 * lever1 + lever2 * lever2))
@@ -315,7 +317,7 @@ def topple(bodies: Bodies, robots: Robots, style: Any, may: Array, key: Array, d
     )
 
 
-def _walls(x, y, c, s, half, bodies, field, on, lever=True):
+def _walls(x, y, c, s, half, bodies, field, on):
     """How far walls move and turn bodies, front end first."""
     # One radius for all, the wider body's.
     radius = 0.5 * max(bodies.home.width, bodies.away.width)
@@ -324,14 +326,24 @@ def _walls(x, y, c, s, half, bodies, field, on, lever=True):
         ex, ey = x + mx + sign * half * c, y + my + sign * half * s
         px, py = keep_in(ex, ey, radius, field)
         px, py = jnp.where(on, px, 0.0), jnp.where(on, py, 0.0)
-        if lever:
-            arm = sign * half * (c * py - s * px)  # (r x n) depth
-            depth2 = px * px + py * py
-            weight = 1 / (1 + SPIN * arm * arm / jnp.maximum(depth2, 1e-12))
-            spin = spin + SPIN * arm * weight
-            px, py = px * weight, py * weight
-        mx, my = mx + px, my + py
+        arm = sign * half * (c * py - s * px)  # (r x n) depth
+        depth2 = px * px + py * py
+        weight = depth2 / jnp.maximum(depth2 + SPIN * arm * arm, 1e-12)
+        spin = spin + SPIN * arm * weight
+        mx, my = mx + px * weight, my + py * weight
     return mx, my, spin
+
+
+def _clamp(x, y, ex, ey, radius, field):
+    """How far a capsule with ends (x, y) +- (ex, ey) must move to be on the field or in a goal."""
+    ax, ay = jnp.abs(ex), jnp.abs(ey)
+    top = jnp.abs(y) + ay
+    end = 0.5 * field.length - radius
+    # Both ends in the mouth: as deep as the goal.
+    end = jnp.where(top < 0.5 * field.goal_width, end + field.goal_depth, end)
+    wx = jnp.minimum(end - ax - jnp.abs(x), 0)
+    wy = jnp.minimum(0.5 * field.width - radius - top, 0)
+    return jnp.where(x < 0, -wx, wx), jnp.where(y < 0, -wy, wy)
 
 
 def boxes(bodies: Bodies, robots: Robots, before: Robots, dt: float) -> Boxes:

@@ -5,8 +5,10 @@ The noise is data (`data/camera.json`), so that it can be fitted to Vision on pi
 """
 
 import math
+from functools import partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -18,12 +20,12 @@ from envs.soccer.state import State, upright
 from envs.soccer.tables import Sight, Sights
 from envs.soccer.trig import cos_sin, unturn
 
-FIRST_CHANNEL = 16  # of a robot's noise in a step; five numbers an object from here on
+FIRST_CHANNEL = 16  # of a robot's noise in a step; four numbers an object from here on
 ROBOT_WIDTH = 0.2  # m, of which a robot's apparent size is told: between side and front (assumed)
-NUM_MATES, NUM_OPPONENTS = SEEN.count("mate0") + SEEN.count("mate1"), 3
-KINDS = tuple(
-    "landmark" if n.startswith("landmark") else n[:4] for n in SEEN
-)  # ball goal mate oppo
+ROBOT_HEIGHT = 0.12  # m, of the middle of what one sees of a robot (assumed)
+NUM_FIXED = 1 + 6 + 2
+NUM_MATES = sum(name.startswith("mate") for name in SEEN)
+NUM_OPPONENTS = sum(name.startswith("opponent") for name in SEEN)
 
 
 def neck(state: State) -> tuple[tuple[Any, Any], tuple[Any, Any], tuple[Any, Any]]:
@@ -52,73 +54,61 @@ def to_camera(x: Any, y: Any, z: Any, angles: Any) -> tuple[Array, Array, Array]
     return x, y, z
 
 
-def targets(state: State, field: Field):
-    """Centres of what can be seen, for each robot in the order of SEEN, teammates and opponents by
-    shirt: name, x, y [R] or scalar (m, field's frame), height (m), true size (m), on the field."""
-    r, game = state.robots, state.game
-    direction = directions(r, game)
+def fixed(state: State, field: Field) -> tuple[Array, Array]:
+    """Ball, landmarks and goals, the first rows of SEEN: x, y (m, field's frame), [9, R].
+
+    In the robot's team's frame: the away team's landmark 0 is the one at the opposite corner."""
+    direction = directions(state.robots, state.game)
+    far = 0.5 * field.length
+    xs = [0.0, *(mark.x for mark in field.landmarks), -far, far]
+    ys = [0.0, *(mark.y for mark in field.landmarks), 0.0, 0.0]
+    is_ball = [1.0] + [0.0] * (len(xs) - 1)
+    like = direction[None]
+    # Sums of products, because a stack of rows would not become vector code.
+    x = upright(xs, like) * direction + upright(is_ball, like) * state.ball.x
+    y = upright(ys, like) * direction + upright(is_ball, like) * state.ball.y
+    return x, y
+
+
+def others(state: State) -> tuple[Array, Array, Array]:
+    """Teammates, then opponents, by shirt: x, y (m, field's frame), on the field, [2 N - 1, R].
+
+    The mate in row k is k + 1 shirts further on."""
+    r = state.robots
     n = r.x.shape[0] // 2
-    every = jnp.ones_like(r.out, bool)
-    found = [("ball", state.ball.x, state.ball.y, field.ball_radius, 2 * field.ball_radius, every)]
-    middle = field.landmark_foot + field.landmark_band
-    for mark in field.landmarks:
-        # In the team's frame: the away team's landmark 0 is the one at the opposite corner.
-        found.append(
-            (
-                "landmark",
-                direction * mark.x,
-                direction * mark.y,
-                middle,
-                2 * field.landmark_band,
-                every,
-            )
-        )
-    for sign in (-1, 1):
-        found.append(
-            (
-                "goal",
-                sign * direction * 0.5 * field.length,
-                jnp.zeros_like(r.x),
-                0.5 * field.goal_height,
-                field.goal_height,
-                every,
-            )
-        )
-    on = r.out <= 0
-    mates = lambda a, k: jnp.concatenate([jnp.roll(a[:n], -k, 0), jnp.roll(a[n:], -k, 0)])  # noqa: E731
-    for k in range(1, n):  # the mate k shirts further on
-        found.append(("mate", mates(r.x, k), mates(r.y, k), 0.12, ROBOT_WIDTH, mates(on, k)))
-    for k in range(n):
-        x, y, there = (
-            jnp.concatenate(
-                [jnp.broadcast_to(a[n + k], a[:n].shape), jnp.broadcast_to(a[k], a[n:].shape)]
-            )
-            for a in (r.x, r.y, on)
-        )
-        found.append(("oppo", x, y, 0.12, ROBOT_WIDTH, there))
-    return found
+    found = []
+    for a in (r.x, r.y, r.out <= 0):
+        mates = [jnp.concatenate([a[k:n], a[:k], a[n + k :], a[n : n + k]]) for k in range(1, n)]
+        shape = a[:n].shape
+        theirs = [
+            jnp.concatenate([jnp.broadcast_to(a[n + k], shape), jnp.broadcast_to(a[k], shape)])
+            for k in range(n)
+        ]
+        found.append(jnp.stack(mates + theirs))
+    return found[0], found[1], found[2]
 
 
-def occluded(state: State, eye_x, eye_y, eye_z, dx, dy, z, far, height: Any) -> Array:
-    """Whether a robot other than oneself stands in the line of sight, [R].
+def occluded(state: State, eyes: Any, dx: Array, dy: Array, z: Any, far: Array, height: Any):
+    """Whether a robot other than oneself stands in the line of sight, [K, R].
 
-    dx, dy: m from the eye to the object; z: its height; far: m.  A robot hides what its disc of
-    0.18 m covers below its own height; the object itself, if a robot, hides nothing.
+    eyes: x, y, height of the cameras, [R]; dx, dy: m from the eye to the object; z: its height;
+    far: m.  A robot hides what is wholly behind its disc of 0.18 m, below its own height.
     """
     r = state.robots
     n = r.x.shape[0]
     on = r.out <= 0
-    hidden = jnp.zeros_like(on)
-    ux, uy = dx / far, dy / far
+    one = 1 / far
+    ux, uy = dx * one, dy * one
+    slope = (z - eyes[2]) * one
+    hidden = jnp.zeros_like(dx, bool)
     for j in range(n):
-        gx, gy = r.x[j] - eye_x, r.y[j] - eye_y
+        other = upright([k != j for k in range(n)], r.x)
+        gx, gy = r.x[j] - eyes[0], r.y[j] - eyes[1]
         along = gx * ux + gy * uy
         aside = jnp.abs(gx * uy - gy * ux)
-        # A robot must be wholly in front of the object, and is not oneself.
         between = (along > 0.12) & (along < far - 0.12) & (aside < 0.09)
-        sight = eye_z + (z - eye_z) * along / far
-        mine = upright([k == j for k in range(n)], r.x)
-        hidden |= between & on[j] & ~mine & (sight < height)
+        tall = height if isinstance(height, float) else height[j]
+        hidden |= between & (eyes[2] + slope * along < tall) & (on[j] & other)
     return hidden
 
 
@@ -136,59 +126,77 @@ def look(
 
     perfect: everything on the field is there, exactly, in view or not.  Else an object is seen when
     its centre is inside of the picture and not behind a robot, and then missed, moved or invented
-    as `sights` say.  What is told of mates and opponents is sorted by apparent size, nearest first:
-    a uniform has a colour but no number.
+    as `sights` say.  Mates and opponents are sorted by apparent size, nearest first: a uniform has
+    a colour but no number.
     """
+    n = state.robots.x.shape[0] // 2
+    eyes = eye(state, head)
+    see = partial(_see, state, eyes, neck(state), camera, height, key, perfect)
+    x, y = fixed(state, field)
+    poles = field.landmark_foot + field.landmark_band, 2 * field.landmark_band, sights.landmark
+    goals = 0.5 * field.goal_height, field.goal_height, sights.goal
+    ball = field.ball_radius, 2 * field.ball_radius, sights.ball
+    rows = see(x, y, jnp.ones_like(x, bool), [ball] + [poles] * 6 + [goals] * 2, FIRST_CHANNEL)
+    robot = ROBOT_HEIGHT, ROBOT_WIDTH, sights.robot
+    last = see(*others(state), [robot] * (2 * n - 1), FIRST_CHANNEL + 4 * NUM_FIXED)
+    # Each group is computed once and then copied together.
+    rows, last = jax.lax.optimization_barrier((rows, last))
+    robots = [tuple(leaf[k] for leaf in last) for k in range(2 * n - 1)]
+    nothing = [tuple(jnp.zeros_like(a) for a in robots[0])]
+    mates = nearest(robots[: n - 1] + nothing * (NUM_MATES - n + 1), NUM_MATES)
+    theirs = nearest(robots[n - 1 :] + nothing * (NUM_OPPONENTS - n), NUM_OPPONENTS)
+    ranked = jax.lax.optimization_barrier(tuple(map(jnp.stack, zip(*mates, *theirs))))
+    return Frame(*(jnp.concatenate([a, b]) for a, b in zip(rows, ranked)))
+
+
+def _see(state, eyes, angles, camera, height, key, perfect, x, y, there, kinds, channel):
+    """Some objects at x, y (m, field's frame; [k, R]) in the picture: leaves of `Frame`, [k, R].
+
+    kinds: height of the centre (m), true size (m) and `Sight` of each."""
     r, hand = state.robots, state.game.hand
-    angles = neck(state)
-    eye_x, eye_y, eye_z = eye(state, head)
-    wide, high = math.tan(camera.horizontal / 2), math.tan(camera.vertical / 2)
-    rows: dict[str, list] = {"mate": [], "oppo": []}
-    fixed = []
-    # A robot that lies on its side sees nothing that it could name (assumed).
-    clear = ~r.fallen & (r.out <= 0)
-    for index, (kind, x, y, z, size, there) in enumerate(targets(state, field)):
-        dx, dy = x - eye_x, y - eye_y
-        flat = distance(dx, dy)
-        bx, by = unturn(dx, dy, r.cos, r.sin)
-        cx, cy, cz = to_camera(bx, by, z - eye_z, angles)
-        slant = distance(flat, z - eye_z)
-        angle, lift = bearing(cx, cy), bearing(distance(cx, cy), cz)
-        apparent = size / slant  # below 0.3 % from the true angle beyond 2.5 sizes
-        if kind == "ball":
-            apparent = 2 * bearing(slant, 0.5 * size + 0 * slant)
-        if perfect:
-            row = (angle, lift, apparent, there & (r.out <= 0))
-        else:
-            sight: Sight = getattr(sights, "robot" if kind in rows else kind)
-            first = FIRST_CHANNEL + 5 * index
-            visible = there & clear & (cx > 0.02)
-            visible &= (jnp.abs(cy) < wide * cx) & (jnp.abs(cz) < high * cx)
-            visible &= ~occluded(state, eye_x, eye_y, eye_z, dx, dy, z, flat, height)
-            chance = noise.uniform(key, first)
-            missed = chance < sight.miss + sight.miss_small * jnp.exp(apparent * (-1 / 0.02))
-            # What is not in the picture is seen in it now and then; rolled with the same number.
-            false = clear & ~visible & (chance < sight.false)
-            a, b, c = (noise.normal(key, first + k) for k in (1, 2, 3))
-            d = noise.uniform(key, first + 4)
-            angle = angle + hand * sight.bearing * a
-            lift = lift + sight.elevation * b
-            apparent = apparent * (1 + sight.size_relative * c) + sight.size * (2 * d - 1) * 1.732
-            apparent = jnp.maximum(apparent, 0.002)
-            angle = jnp.where(false, hand * (d - 0.5) * camera.horizontal, angle)
-            lift = jnp.where(false, b * (0.2 * camera.vertical), lift)
-            apparent = jnp.where(false, 0.02 + 0.01 * jnp.abs(c), apparent)
-            row = (angle, lift, apparent, (visible & ~missed) | false)
-        row = (*(jnp.where(row[3], v, 0.0) for v in row[:3]), row[3])
-        rows[kind].append(row) if kind in rows else fixed.append(row)
-    mates = nearest(rows["mate"], NUM_MATES)
-    opponents = nearest(rows["oppo"], NUM_OPPONENTS)
-    return Frame(*(jnp.stack(leaf) for leaf in zip(*fixed, *mates, *opponents)))
+    each = lambda values: upright(values, x)  # noqa: E731  # a constant for each row
+    z, size = each([kind[0] for kind in kinds]), each([kind[1] for kind in kinds])
+    dx, dy, dz = x - eyes[0], y - eyes[1], z - eyes[2]
+    flat2 = dx * dx + dy * dy
+    flat, slant = jnp.sqrt(jnp.maximum(flat2, 1e-8)), jnp.sqrt(flat2 + dz * dz)
+    bx, by = unturn(dx, dy, r.cos, r.sin)
+    cx, cy, cz = to_camera(bx, by, dz, angles)
+    angle, lift = bearing(cx, cy), bearing(distance(cx, cy), cz)
+    # 2 atan(size / 2 slant) to the fifth order; 0.1 % off at a slant of two sizes.
+    half = jnp.minimum(0.5 * size / slant, 0.5)
+    apparent = 2 * half * (1 - half * half * (1 / 3 - 0.2 * half * half))
+    awake = r.out <= 0
+    if perfect:
+        visible = there & awake
+    else:
+        # A robot that lies on its side sees nothing that it could name (assumed).
+        awake &= ~r.fallen
+        visible = there & awake & (cx > 0.02)
+        visible &= jnp.abs(cy) < math.tan(camera.horizontal / 2) * cx
+        visible &= jnp.abs(cz) < math.tan(camera.vertical / 2) * cx
+        visible &= ~occluded(state, eyes, dx, dy, z, flat, height)
+        sight = Sight(*(each([kind[2][k] for kind in kinds]) for k in range(len(Sight._fields))))
+        num = len(kinds)
+        words = [noise.channels(key, channel + num * k, num) for k in range(4)]
+        chance = noise.to_uniform(words[0])
+        missed = chance < sight.miss + sight.miss_small * jnp.exp(apparent * (-1 / 0.02))
+        # What is not in the picture is seen in it now and then; rolled with the same number.
+        false = awake & ~visible & (chance < sight.false)
+        a, b, c = (noise.to_normal(word) for word in words[1:])
+        place = noise.to_uniform(noise.mix(words[1])) - 0.5
+        spread = jnp.sqrt((sight.size_relative * apparent) ** 2 + sight.size**2)
+        angle = jnp.where(false, hand * place * camera.horizontal, angle + hand * sight.bearing * a)
+        lift = jnp.where(false, b * (0.2 * camera.vertical), lift + sight.elevation * b)
+        apparent = jnp.where(
+            false, 0.02 + 0.01 * jnp.abs(c), jnp.maximum(apparent + spread * c, 0.002)
+        )
+        visible = (visible & ~missed) | false
+    return *(jnp.where(visible, a, 0.0) for a in (angle, lift, apparent)), visible
 
 
 def nearest(rows: list, count: int) -> list:
-    """The `count` largest of some rows (bearing, elevation, size, visible), largest first, filled
-    up with rows of nothing: as a network of comparisons, without indices."""
+    """The `count` largest of some rows (bearing, elevation, size, visible), largest first: as a
+    network of comparisons, without indices."""
     rows = list(rows)
     for place in range(min(count, len(rows) - 1)):
         for k in range(len(rows) - 1, place, -1):

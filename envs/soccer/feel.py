@@ -12,7 +12,7 @@ from envs.soccer.camera import eye, neck
 from envs.soccer.state import State, upright
 from envs.soccer.tables import Feelings
 
-FIRST_CHANNEL = 110  # of a robot's noise in a step
+FIRST_CHANNEL = 130  # of a robot's noise in a step
 GRAVITY = 9.81
 REACH = 0.11  # m, radius of the disc that stands for a robot before the infrared beam (assumed)
 

@@ -35,19 +35,36 @@ def bits(key: UInt32[Array, "*n"], channel: int) -> UInt32[Array, "*n"]:
     return mix(key ^ jnp.uint32((channel + 1) * _GOLDEN & 0xFFFFFFFF))
 
 
+def channels(key: UInt32[Array, "*n"], first: int, count: int) -> UInt32[Array, "*m"]:
+    """The bits of `count` channels from `first` on, as rows."""
+    salts = [(first + k + 1) * _GOLDEN & 0xFFFFFFFF for k in range(count)]
+    column = jnp.asarray(salts, jnp.uint32).reshape(count, *(1,) * key.ndim)
+    return mix(key[None] ^ column)
+
+
 def uniform(key: UInt32[Array, "*n"], channel: int) -> Float[Array, "*n"]:
     """Uniform in [0, 1), 24 bits."""
-    # Through int32: there is no vector conversion from uint32.
-    return (bits(key, channel) >> 8).astype(jnp.int32).astype(jnp.float32) * jnp.float32(2**-24)
+    return to_uniform(bits(key, channel))
 
 
 def normal(key: UInt32[Array, "*n"], channel: int) -> Float[Array, "*n"]:
-    """Standard normal to within 0.0021 of its distribution function, |z| at most 4.04.
+    """Standard normal, as `to_normal`."""
+    return to_normal(bits(key, channel))
 
-    The four bytes of one word are summed (Irwin-Hall, n = 4) and stretched by a cubic that gives
-    the sum of uniforms the normal's kurtosis; steps of 0.007.  No logarithm, no square root.
+
+def to_uniform(word: UInt32[Array, "*n"]) -> Float[Array, "*n"]:
+    """32 random bits as a number in [0, 1)."""
+    # Through int32: there is no vector conversion from uint32.
+    return (word >> 8).astype(jnp.int32).astype(jnp.float32) * jnp.float32(2**-24)
+
+
+def to_normal(word: UInt32[Array, "*n"]) -> Float[Array, "*n"]:
+    """32 random bits as a standard normal number, within 0.0021 of its distribution function, |z|
+    at most 4.04.
+
+    The four bytes are summed (Irwin-Hall, n = 4) and stretched by a cubic that gives the sum of
+    uniforms the normal's kurtosis; steps of 0.007.  No logarithm, no square root.
     """
-    word = bits(key, channel)
     pair = (word & jnp.uint32(0x00FF00FF)) + ((word >> 8) & jnp.uint32(0x00FF00FF))
     total = ((pair & jnp.uint32(0xFFFF)) + (pair >> 16)).astype(jnp.int32).astype(jnp.float32)
     z = (total - 510.0) * jnp.float32(1 / 147.80054)  # variance of the sum: 4 (256^2 - 1) / 12

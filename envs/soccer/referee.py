@@ -228,8 +228,8 @@ def unstick(rules: Rules, robots: Robots, ball: RollingBall, game: Game, playing
         # In the frame of the home team, mirrored with the match: ties then fall alike.
         px, py = sx * game.attack, sy * game.attack * game.hand
         away = distance(robots.x - px, robots.y - py)
-        nearest = jnp.min(away, axis=0)
-        cost = distance(ball.x - px, ball.y - py) + jnp.where(nearest < 0.25, 10.0, 0.0)
+        taken = _any(away < 0.25)
+        cost = distance(ball.x - px, ball.y - py) + jnp.where(taken, 10.0, 0.0)
         nearer = cost < best
         best = jnp.where(nearer, cost, best)
         x, y = jnp.where(nearer, px, x), jnp.where(nearer, py, y)

@@ -9,7 +9,7 @@ from envs.soccer import noise
 from envs.soccer.state import Robots, Talk, upright
 from envs.soccer.tables import Air
 
-FIRST_CHANNEL = 120  # of a robot's noise in a step; one number a sender from here on
+FIRST_CHANNEL = 140  # of a robot's noise in a step; one number a sender from here on
 
 
 def silence(robots: Robots) -> Talk:
