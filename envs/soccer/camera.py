@@ -24,6 +24,7 @@ FIRST_CHANNEL = 16  # of a robot's noise in a step; four numbers an object from 
 ROBOT_WIDTH = 0.2  # m, of which a robot's apparent size is told: between side and front (assumed)
 ROBOT_HEIGHT = 0.12  # m, of the middle of what one sees of a robot (assumed)
 NUM_FIXED = 1 + 6 + 2
+MIRROR = (0, 4, 5, 6, 1, 2, 3, 7, 8)  # rows of `fixed` in a mirror image, y to -y
 NUM_MATES = sum(name.startswith("mate") for name in SEEN)
 NUM_OPPONENTS = sum(name.startswith("opponent") for name in SEEN)
 
@@ -177,7 +178,17 @@ def _see(state, eyes, angles, camera, height, key, perfect, x, y, there, kinds, 
         visible &= ~occluded(state, eyes, dx, dy, z, flat, height)
         sight = Sight(*(each([kind[2][k] for kind in kinds]) for k in range(len(Sight._fields))))
         num = len(kinds)
-        words = [noise.channels(key, channel + num * k, num) for k in range(4)]
+        # In a mirror image a landmark takes the noise of the one that it is the image of.
+        image = MIRROR if num == NUM_FIXED else range(num)
+        words = [
+            noise.channels(
+                key,
+                [channel + num * k + row for row in range(num)],
+                [channel + num * k + row for row in image],
+                hand,
+            )
+            for k in range(4)
+        ]
         chance = noise.to_uniform(words[0])
         missed = chance < sight.miss + sight.miss_small * jnp.exp(apparent * (-1 / 0.02))
         # What is not in the picture is seen in it now and then; rolled with the same number.

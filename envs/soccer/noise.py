@@ -7,6 +7,9 @@ twice: once for the key of a robot in a step, once for each number drawn with it
 quality: `tests/soccer/test_noise.py`.
 """
 
+from collections.abc import Sequence
+from typing import Any
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, UInt32
 
@@ -35,11 +38,17 @@ def bits(key: UInt32[Array, "*n"], channel: int) -> UInt32[Array, "*n"]:
     return mix(key ^ jnp.uint32((channel + 1) * _GOLDEN & 0xFFFFFFFF))
 
 
-def channels(key: UInt32[Array, "*n"], first: int, count: int) -> UInt32[Array, "*m"]:
-    """The bits of `count` channels from `first` on, as rows."""
-    salts = [(first + k + 1) * _GOLDEN & 0xFFFFFFFF for k in range(count)]
-    column = jnp.asarray(salts, jnp.uint32).reshape(count, *(1,) * key.ndim)
-    return mix(key[None] ^ column)
+def channels(
+    key: UInt32[Array, "*n"], rows: Sequence[int], mirrored: Sequence[int], hand: Any
+) -> UInt32[Array, "*m"]:
+    """The bits of several channels, as rows; `mirrored` ones where hand < 0."""
+    column, other = (
+        jnp.asarray([(k + 1) * _GOLDEN & 0xFFFFFFFF for k in numbers], jnp.uint32).reshape(
+            len(numbers), *(1,) * key.ndim
+        )
+        for numbers in (rows, mirrored)
+    )
+    return mix(key[None] ^ jnp.where(hand < 0, other, column))
 
 
 def uniform(key: UInt32[Array, "*n"], channel: int) -> Float[Array, "*n"]:

@@ -4,6 +4,8 @@ Goal and length of the halves are the league's; every other rule is as remembere
 assumed (`data/rules.json`).  Positions "in a team's frame" have x towards the opponents' goal.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
@@ -383,7 +385,7 @@ def judge(
     return robots, ball, game._replace(phase=game.phase.astype(jnp.int32)), statistics
 
 
-def _any(x: Array) -> Array:
+def _any(x: Any) -> Array:
     found = x[0]
     for row in x[1:]:
         found = found | row
