@@ -1,11 +1,16 @@
 """What Locomotion can do, measured: tracking, joint speeds, time step, styles.
 
     python -m experiments.locomotion table [--gait g.json] [--variant full] [--json] [--csv t.csv]
+    python -m experiments.locomotion kicks [--num 100] [--out kicks.json]
 
-Every command of `gait_task.TABLE` is held for 8 s, the last 6 are measured.  joint_speed_ratio_p99:
-99th percentile of a joint's measured speed over Sony's, worst joint and all commands together.
+table: every command of `gait_task.TABLE` is held for 8 s, the last 6 are measured.
+joint_speed_ratio_p99: 99th percentile of a joint's measured speed over Sony's, worst joint and
+all commands together.
 step_ratio: speed at the training step over that at 0.5 ms, both in MuJoCo's C code, the value
 farthest from 1 (speeds in units of the ellipsoid's half axes 0.15 m/s, 0.08 m/s, 1 rad/s).
+
+kicks: what each kick does to a resting ball when the dog stands up to 2 cm and 0.2 rad off, in the
+full model.
 """
 
 import csv
@@ -32,18 +37,24 @@ class Config:
     """What to measure.
 
     Attributes:
-        what: table.
+        what: table, or kicks.
         gait: a gait's JSON; default the shipped one.
         variant: lean, or the full model in MuJoCo's C code (no joint speeds).
         json: print JSON for machines instead of text.
         csv: where the rows go, too.
+        num: trials of a kick.
+        seed: of their places.
+        out: where the kicks' table goes, too.
     """
 
-    what: tyro.conf.Positional[Literal["table"]] = "table"
+    what: tyro.conf.Positional[Literal["table", "kicks"]] = "table"
     gait: Path | None = None
     variant: Literal["lean", "full"] = "lean"
     json: bool = False
     csv: Path | None = None
+    num: int = 100
+    seed: int = 1
+    out: Path | None = None
 
 
 def rows_of(walks, fine, coarse, commands) -> list[dict[str, float]]:
@@ -113,6 +124,40 @@ def table(env, variant: str = "lean") -> tuple[list[dict[str, float]], dict[str,
     return rows, whole
 
 
+def kicks(env, num: int, seed: int) -> list[dict[str, Any]]:
+    """What the kicks do, one row each: speed (m/s) and direction (rad) with their standard
+    deviations over the trials that moved the ball, the share that missed (below 0.05 m/s), that
+    gave 0.5 m/s, and that fell; the zone (m, dog's frame) of the ball's places; the run-out (m)."""
+    from envs.quadruped import motions
+
+    rows = []
+    for path in sorted(motions.FOLDER.glob("*.json")):
+        file = json.loads(path.read_text(encoding="utf-8"))
+        if file["kind"] != "kick":
+            continue
+        motion = motions.load(path, motions.standing(env))
+        points = motions.set_points(motion, env.solver.timestep)
+        balls = motions.displaced(np.random.default_rng(seed), np.array(file["ball"]), num)
+        found = [motions.kick(env, points, motion.strike, ball) for ball in balls]
+        velocity = np.array([k.ball for k in found])
+        speed = np.hypot(*velocity.T)
+        hit = speed >= 0.05
+        angle = np.arctan2(velocity[hit, 1], velocity[hit, 0])
+        low, high = balls.min(0), balls.max(0)
+        row: dict[str, Any] = {"name": motion.name, "trials": num}
+        row |= {"zone": [low[0], high[0], low[1], high[1]], "delay": motion.strike}
+        row |= {"duration": motion.times[-1], "speed": speed[hit].mean()}
+        row |= {"speed_spread": speed[hit].std(), "direction": angle.mean()}
+        row |= {"direction_spread": angle.std(), "miss": 1 - hit.mean()}
+        row |= {"half_metre_a_second": np.mean(speed >= 0.5)}
+        row |= {"within_0.35_rad": np.mean(np.abs(angle - np.median(angle)) <= 0.35)}
+        row |= {"run_out": float(np.mean(speed**2) / (2 * float(env.ball_deceleration)))}
+        row |= {"falls": np.mean([k.upright < 0.7 or k.height < 0.05 for k in found])}
+        row |= {"joint_speed_ratio_p99": max(k.speed for k in found)}
+        rows.append({k: np.round(x, 3).tolist() if k != "name" else x for k, x in row.items()})
+    return rows
+
+
 def main(argv: list[str] | None = None) -> None:
     config = tyro.cli(Config, args=argv)
     try:
@@ -122,12 +167,24 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def _main(config: Config) -> None:
-    script.check_files(config, "csv")
+    script.check_files(config, "csv", "out")
+    script.check_least(config, num=1, seed=0)
     xla.configure()
     from envs.quadruped.environment import Quadruped
     from envs.quadruped.locomotion import DEFAULT_GAIT, load_gait
 
     env = Quadruped(gait=load_gait(config.gait or DEFAULT_GAIT))
+    if config.what == "kicks":
+        document = {
+            "format": "fntg-kicks",
+            "version": 1,
+            "kicks": kicks(env, config.num, config.seed),
+        }
+        text = json.dumps(document, indent=1, allow_nan=False)
+        print(text)
+        if config.out is not None:
+            config.out.write_text(text + "\n", encoding="utf-8")
+        return
     rows, whole = table(env, config.variant)
     if config.csv is not None:
         with config.csv.open("w", newline="", encoding="utf-8") as file:

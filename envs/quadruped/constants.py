@@ -32,6 +32,7 @@ HEAD_LIMITS = {"tilt": (-82, 43), "pan": (-89.6, 89.6), "roll": (-29, 29)}  # de
 TAIL_LIMIT = 22  # degrees, both joints
 LEG_SPEED = (2.81, 2.50, 2.84)  # rad/s, J1, J2, J3
 HEAD_SPEED = (2.11, 3.01, 3.01)
+TAIL_SPEED = 4.47
 
 # Assumed.  Trunk with battery, head, and per leg: shoulder, upper leg, lower leg.  Twelve of the
 # eighteen motors sit in the legs: these have 45 % of the mass, as in models of the robot's

@@ -24,6 +24,8 @@ class Track(NamedTuple):
     speed: joint speeds [steps, substeps, 12] over Sony's (`constants.LEG_SPEED`), while measuring.
     torque: the largest, N m.  power: mean mechanical power of the servos, W (what they put in, not
     what they brake).  clipped: share of set-points that the speed limit held back, worst joint.
+    effort: torque, root of the mean square, N m.  height: of the trunk's centre, m.  shake: of the
+    trunk, roll and pitch rate, root of the mean square, rad/s.
     """
 
     velocity: Any
@@ -34,6 +36,9 @@ class Track(NamedTuple):
     torque: Any = jnp.nan
     power: Any = jnp.nan
     clipped: Any = jnp.nan
+    effort: Any = jnp.nan
+    height: Any = jnp.nan
+    shake: Any = jnp.nan
 
 
 def drive(env: Quadruped, start, command: Float[Array, "3"]):
@@ -58,24 +63,40 @@ def drive(env: Quadruped, start, command: Float[Array, "3"]):
     return new, (speed, torque, moved > 0.999 * most)
 
 
-def walk(env: Quadruped, commands: Float[Array, "N 3"]) -> Track:
-    """Drive the dog with commands (v_x, v_y, omega) from a stand at the field's centre."""
+PUSH_STEP = 25  # control step before which a push comes
+
+
+def walk(env: Quadruped, commands: Float[Array, "N 3"], push: Any = None) -> Track:
+    """Drive the dog with commands (v_x, v_y, omega) from a stand at the field's centre.
+
+    push: [2], a sudden change of the trunk's velocity (m/s, field's frame).
+    """
     zero = jnp.zeros(3)
     start = env.reset(Scene(zero, zero[:2], jnp.zeros((0, 3))))
 
-    def control_step(state, command):
+    def control_step(state, now):
+        command, n = now
+        if push is not None:
+            hit = jnp.where(n == PUSH_STEP, push, 0.0)
+            state = state._replace(qvel=state.qvel.at[:2].add(hit))
         new, (speed, torque, clipped) = drive(env, state, command)
         power = jnp.mean(jnp.sum(jnp.maximum(speed * torque, 0), axis=1))
+        squares = jnp.mean(torque**2), jnp.sum(new.qvel[3:5] ** 2)
         seen = (new.qpos, speed, jnp.max(jnp.abs(torque)), power, jnp.mean(clipped, axis=0))
-        return new, seen
+        return new, (*seen, squares)
 
-    state, (path, speed, torque, power, clipped) = jax.lax.scan(control_step, start, commands)
+    steps = jnp.arange(len(commands))
+    state, seen = jax.lax.scan(control_step, start, (commands, steps))
+    path, speed, torque, power, clipped, (effort, shake) = seen
     found = track(jnp.concatenate([start.qpos[None], path]), state.fallen, env.dt)
     return found._replace(
         speed=jnp.abs(speed[SETTLE:]) / jnp.asarray(SPEED),
         torque=jnp.max(torque),
         power=jnp.mean(power[SETTLE:]),
         clipped=jnp.max(jnp.mean(clipped[SETTLE:], axis=0)),
+        effort=jnp.sqrt(jnp.mean(effort[SETTLE:])),
+        height=jnp.mean(path[SETTLE:, 2]),
+        shake=jnp.sqrt(jnp.mean(shake[SETTLE:])),
     )
 
 
