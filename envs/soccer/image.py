@@ -281,12 +281,29 @@ def segment(
     scene: Scene, view: Eye, camera: Camera = Camera(), field: Field = FIELD
 ) -> Int[Array, "height width"]:
     """Which object every pixel shows: index into `NAMES`, robot n as FIRST_ROBOT + n."""
-    surfaces = _surfaces(field, scene.robots.shape[0])
-    index = [
+    numbers = [
         NAMES.index(name) if name in NAMES else FIRST_ROBOT + int(name.removeprefix("robot"))
-        for name, _ in surfaces
+        for name, _ in _surfaces(field, scene.robots.shape[0])
     ]
-    value, _ = _cast(scene, view, [jnp.int32(i) for i in index], 0.0, 0.0, camera, field)
+    return _numbered(scene, view, numbers, camera, field)
+
+
+def paints(
+    scene: Scene, view: Eye, camera: Camera = Camera(), field: Field = FIELD
+) -> Int[Array, "height width"]:
+    """Which paint every pixel shows, an index into `list(PAINT)`: labels to calibrate by."""
+    order = list(PAINT)
+    surfaces = _surfaces(field, scene.robots.shape[0])
+    numbers: list = [order.index(paint) for _, paint in surfaces]
+    for n in range(scene.robots.shape[0]):
+        worn = jnp.where(scene.team[n] == 0, order.index("red"), order.index("blue"))
+        numbers[2 * n - 2 * scene.robots.shape[0] + 1] = worn
+    return _numbered(scene, view, numbers, camera, field)
+
+
+def _numbered(scene, view, numbers: list, camera: Camera, field: Field):
+    values = [jnp.asarray(n, jnp.int32) for n in numbers]
+    value, _ = _cast(scene, view, values, 0.0, 0.0, camera, field)
     return value.reshape(camera.height, camera.width)
 
 
