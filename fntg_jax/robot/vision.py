@@ -31,6 +31,7 @@ _LOOKED_AT = {
 }
 _FIRST = dict(zip(_LOOKED_AT, np.cumsum([0, *_LOOKED_AT.values()])))
 _SMALLEST = 9  # pixels of a component; a ball at 2 m has about 30
+_NAME = 15  # bits of a pixel's index; its component's size has as many
 _SECTORS = 11  # directions for which the nearest obstacle is told
 _LINE = 9  # rows: what is white for longer is no line of the floor
 
@@ -78,15 +79,17 @@ def blobs(classes: Int[Array, "H W"], sure: Float[Array, "H W"]) -> Blobs:
     """The largest components of every class that means something."""
     height, width = classes.shape
     label = components(classes)
-    flat, index = classes.ravel(), jnp.arange(height * width)
+    flat = classes.ravel()
     count = jnp.zeros(height * width, jnp.int32).at[label.ravel()].add(1)
+    # Size and name in one number: the largest, the next, ... are plain maxima.
+    ranked = (count << _NAME) + jnp.arange(height * width)
     names = []
     for colour, number in _LOOKED_AT.items():
-        left = jnp.where(flat == colour, count, 0)
+        own = jnp.where((flat == colour) & (count >= _SMALLEST), ranked, -1)
+        best = jnp.int32(2**31 - 1)
         for _ in range(number):
-            best = jnp.argmax(left)
-            names.append(jnp.where(left[best] >= _SMALLEST, best, -1))
-            left = jnp.where(index == best, 0, left)
+            best = jnp.where(own < best, own, -1).max()
+            names.append(jnp.where(best < 0, -1, best & ((1 << _NAME) - 1)))
     mask = label[None] == jnp.stack(names)[:, None, None]
     weight = mask.astype(jnp.float32)
     in_row, in_column = weight.sum(2), weight.sum(1)

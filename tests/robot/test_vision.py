@@ -28,15 +28,15 @@ def test_components_are_those_of_scikit_image():
 
 
 def test_objects_of_a_rendered_picture():
-    """Ball 0.8 m ahead, a landmark to the left, a red mate to the right: where they are."""
+    """A ball to the right, a red mate ahead, a landmark to the left: where they are."""
     ball = (0.8, 0.0, FIELD.ball_radius)
     scene = image.Scene(
         jnp.array(ball),
-        jnp.array([[0.7, -0.45, 1.0]]),
+        jnp.array([[0.9, 0.25, 1.0]]),
         jnp.array([0]),
         jnp.array([True]),
     )
-    pose, head = jnp.array([0.0, 0.1, 0.35]), jnp.array([-0.1, 0.0, 0.0])
+    pose, head = jnp.array([0.0, 0.1, 0.2]), jnp.array([-0.1, 0.0, 0.0])
     eye = image.eye(pose, head)
     picture = image.render(scene, eye, image.Light(blur=0.12, noise=3.0))
     sight = jax.jit(lambda p: vision.see(p, colours.load("ers210"), vision.Team(), FIELD))(picture)
