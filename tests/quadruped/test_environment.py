@@ -86,7 +86,7 @@ def test_a_fall_is_final_and_finite(env, batch):
     # Thrown over its side.
     def one(scene):
         start = env.reset(scene)
-        thrown = start._replace(qvel=start.qvel.at[3].set(12.0).at[2].set(0.5))
+        thrown = start._replace(qvel=start.qvel.at[3].set(20.0).at[2].set(1.0))
 
         def control_step(state, _):
             new = env.step(state, Command(0.1, 0.0))
