@@ -137,6 +137,14 @@ class Kinematic:
         slips = self.actuation is not None and self.actuation.slip is not None
         return slips or self.sensing is not None
 
+    @property
+    def unicycle(self) -> dict[str, float] | None:
+        """All there is to know of it where it is the paper's own model: control step (s) and
+        deceleration of the ball (m/s^2).  None with actuation, sensing, latency or capture."""
+        if self.actuation is not None or self.sensing is not None or self.latency or self.capture:
+            return None
+        return {"dt": float(self.dt), "deceleration": float(self.ball_deceleration)}
+
     def step(self, state: State, command: Any) -> State:
         """Advance one control step: body velocity, exact arc, ball and obstacles."""
         v, omega = command.v, command.omega

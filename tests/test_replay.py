@@ -7,12 +7,15 @@ import shutil
 import subprocess
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from PIL import Image
 
+import fntg_jax
 from fntg_jax.commands import cli
 from fntg_jax.learning.fitness import success
+from fntg_jax.learning.rollout import trajectory
 from fntg_jax.running import controllers, evaluation, registry, run_folder, runner
 from fntg_jax.showing import replay
 from tests.controllers import random_controller
@@ -115,6 +118,96 @@ def test_keyboard(panels, tmp_path):
     text = dom_of(replay.page(panels, "keys").replace("</body>", press), tmp_path)
     seen = re.search("<title>(.*?)</title>", text)[1]
     assert seen == "22.0 s|22.0 s|0.0 s|0.1 s|0.2 s|1.2 s|1.1 s|8|2|Pause|Play"
+
+
+@needs_chromium
+def test_the_page_simulates_as_python_does(tmp_path):
+    """Robot, ball, obstacles and commands of 220 steps, to 1e-4, for two controllers, in float64 on
+    both sides: in float32 Python itself may leave a crossing on the other side."""
+    suites = ("blocked", "moving-anywhere", "traffic")
+    controllers = (fntg_jax.load("bioa"), random_controller("full-63", seed=3))
+    panels = [
+        panel
+        for controller in controllers
+        for suite in suites
+        for panel in replay.record("js", controller, WORLD, suite, (1, 4))
+    ]
+    script = """<script>
+    const all = panels.map(p => {
+      const f = simulate(p.play, p.field, p.play.scene);
+      return [f.robot, f.ball, f.obstacles, f.v, f.omega];
+    });
+    element("pre", document.body, JSON.stringify(all)).id = "out";
+    </script></body>"""
+    text = dom_of(replay.page(panels, "js").replace("</body>", script), tmp_path)
+    found = json.loads(re.search('<pre id="out">(.*?)</pre>', text)[1])
+    assert len(found) == len(panels) == 12
+    with jax.enable_x64(True):
+        double = lambda x: jnp.asarray(x, jnp.float64 if x.dtype == np.float32 else x.dtype)  # noqa: E731
+        trials = []
+        for controller in controllers:
+            env = evaluation.environment_for(controller, WORLD)
+            params = jax.tree.map(jnp.asarray, controller.params)
+            run = jax.jit(lambda s, p=params, e=env, o=controller.output: trajectory(p, s, e, o))
+            for suite in suites:
+                scenes = evaluation.held_out_scenes(WORLD, suite, 5)
+                trials += [run(jax.tree.map(lambda x, n=n: double(x[n]), scenes)) for n in (1, 4)]
+    for (robot, ball, obstacles, v, omega), trial in zip(found, trials):
+        shown = trial.snapshot
+        turn = np.asarray(robot)[:, 2] - np.asarray(shown.robot)[:, 2]
+        assert np.abs(np.exp(1j * turn) - 1).max() < 1e-4
+        np.testing.assert_allclose(np.asarray(robot)[:, :2], shown.robot[:, :2], atol=1e-4)
+        np.testing.assert_allclose(ball, shown.ball, atol=1e-4)
+        np.testing.assert_allclose(obstacles, shown.obstacles, atol=1e-4)
+        np.testing.assert_allclose(v, trial.command.v, atol=1e-4)
+        np.testing.assert_allclose(omega, trial.command.omega, atol=1e-4)
+
+
+@needs_chromium
+def test_the_page_is_a_place_to_play(tmp_path):
+    """Picking a scene, dragging ball and robot, the address, and back to what was recorded."""
+    panels = [
+        panel
+        for seed in (3, 4)
+        for panel in replay.record(f"c{seed}", random_controller(seed=seed), WORLD, "open", (0,))
+    ]
+    before = [p["result"] for p in panels]
+    script = """<script>
+    const words = () => views.map(v => v.words.textContent), seen = {first: words()};
+    const at0 = panels[0].play.scene.ball.slice(0, 2);
+    const send = (type, x, y) => {
+      const canvas = views[0].field, box = canvas.getBoundingClientRect();
+      const scale = scaleOf(canvas, panels[0].field);
+      canvas.dispatchEvent(new PointerEvent(type, {
+        bubbles: true, pointerId: 1,
+        clientX: box.left + box.width / 2 + x * scale,
+        clientY: box.top + box.height / 2 - y * scale,
+      }));
+    };
+    send("pointerdown", ...at0);
+    send("pointermove", 0.5, -0.25);
+    send("pointerup", 0.5, -0.25);
+    seen.balls = panels.map(p => p.play.scene.ball.slice(0, 2));
+    seen.dragged = words(); seen.hash = location.hash;
+    get("scene").value = "3";
+    get("scene").dispatchEvent(new Event("change"));
+    seen.picked = words();
+    location.hash = "#t=7&s=-1,0,0;0.5,0.25,0,0;0,0.5,0.1,0,0"; readAddress();
+    seen.starts = panels.map(p => p.robot[0]); seen.time = get("time").textContent;
+    get("back").click(); seen.back = words();
+    element("pre", document.body, JSON.stringify(seen)).id = "out";
+    </script></body>"""
+    page = replay.page(panels, "play", replay.choice(WORLD, "open", num=5))
+    text = dom_of(page.replace("</body>", script), tmp_path)
+    seen = json.loads(re.search('<pre id="out">(.*?)</pre>', text)[1])
+    assert [w.partition(". ")[2] for w in seen["first"]] == before
+    np.testing.assert_allclose(seen["balls"], [[0.5, -0.25]] * 2, atol=0.02)
+    assert all(w.startswith("your scene. ") for w in seen["dragged"])
+    assert "&amp;s=" in seen["hash"] or "&s=" in seen["hash"]
+    assert all(w.startswith("open scene 3. ") for w in seen["picked"])
+    np.testing.assert_allclose(seen["starts"], [[-1, 0, 0]] * 2)
+    assert seen["time"] == "7.0 s"
+    assert seen["back"] == seen["first"]
 
 
 @pytest.mark.parametrize("image_format", ["GIF", "WEBP"])

@@ -87,7 +87,8 @@ def _draw(trials: Any, options: ReplayOptions) -> None:
     suffix = options.out.suffix.lower()
     if suffix == ".html":
         title = f"Replay: {' | '.join(title for title, _, _ in trials)}"
-        data = replay.page(panels, title).encode()
+        scenes = replay.choice(trials[0][2], options.suite, options.seed)
+        data = replay.page(panels, title, scenes).encode()
     else:
         data = replay.animation(panels, suffix[1:].upper())
     for panel in panels:

@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from fntg_jax.controller import labels
+from fntg_jax.controller import labels, layout, network
 from fntg_jax.controller.controller import Controller
 from fntg_jax.files import inert_json
 from fntg_jax.learning import fitness
@@ -46,7 +46,8 @@ def record(
 
     A panel: title, scene, result (words), dt (s), field (m); over the time steps robot
     [x, y, heading], ball [x, y] and obstacles [[x, y, radius], ...] (m, rad; a list of one entry
-    stands still); signals, inputs and bars, each with its name and values.
+    stands still); signals, inputs and bars, each with its name and values; in the kinematic world
+    play, by which the page simulates again what one drags.
     Raises ValueError on an unknown suite or a negative scene.
     """
     check_scenes(indices)
@@ -75,9 +76,51 @@ def record(
                 "signals": _signals(controller, trial.command),
                 "inputs": _inputs(trial.observation),
                 "bars": _bars(controller, names, trial.observation, strengths[n]),
+                **_play(controller, env, jax.tree.map(lambda x, n=n: np.asarray(x[n]), scenes)),
             }
         )
     return panels
+
+
+def _play(controller: Controller, env: Any, scene: Any) -> dict[str, Any]:
+    """What the page needs to simulate the trial itself, where the world is simple enough."""
+    motion = getattr(env, "unicycle", None)
+    if motion is None:
+        return {}
+    gains = network.output_gains(controller.limits, controller.output)
+    params = {name: np.asarray(x).tolist() for name, x in controller.params._asdict().items()}
+    play = {
+        "params": params,
+        "gains": [float(x) for x in gains],
+        "limits": [float(x) for x in controller.limits],
+        "rules": [list(rule) for rule in layout.rules(controller.layout)],
+        "scene": plain_scene(scene),
+        **motion,
+    }
+    return {"play": play}
+
+
+def plain_scene(scene: Any) -> dict[str, list]:
+    """One scene as the page takes it: start [x, y, heading], ball [x, y, vx, vy], obstacles
+    [[x, y, radius, vx, vy], ...]."""
+    still = np.zeros(2)
+    ball = still if scene.ball_velocity is None else scene.ball_velocity
+    walk = scene.obstacle_velocity
+    walk = np.zeros((len(scene.obstacles), 2)) if walk is None else walk
+    return {
+        "start": np.asarray(scene.start, float).tolist(),
+        "ball": np.concatenate([scene.ball, ball]).astype(float).tolist(),
+        "obstacles": np.concatenate([scene.obstacles, walk], axis=1).astype(float).tolist(),
+    }
+
+
+def choice(world: Any, suite: str, seed: int = 0, num: int = 24) -> list[dict[str, Any]]:
+    """The first scenes of a suite with their names, for the page's scene picker."""
+    scenes = jax.tree.map(np.asarray, held_out_scenes(world, suite, num, seed))
+    return [
+        {"name": f"{suite} scene {n}", **plain_scene(jax.tree.map(lambda x, n=n: x[n], scenes))}
+        for n in range(num)
+    ]
 
 
 @partial(jax.jit, static_argnames="output")
@@ -157,12 +200,15 @@ def _short(name: str) -> str:
     return "any" if name.startswith("any ") else "clear" if name == "not in the way" else name
 
 
-def page(panels: list[dict[str, Any]], title: str) -> str:
-    """The HTML page.  Raises ValueError when it would exceed `MAX_BYTES`."""
+def page(
+    panels: list[dict[str, Any]], title: str, scenes: list[dict[str, Any]] | None = None
+) -> str:
+    """The HTML page; scenes: what its picker offers (`choice`).  Raises ValueError when it would
+    exceed `MAX_BYTES`."""
     template = resources.files("fntg_jax.showing").joinpath("replay.html").read_text("utf-8")
     parts = {
         "@TITLE@": html.escape(title.encode("utf-8", "replace").decode()),
-        "@DATA@": inert_json({"panels": panels}),
+        "@DATA@": inert_json({"panels": panels} | ({"scenes": scenes} if scenes else {})),
     }
     # In one pass: a title that looks like a mark stays a title.
     text = re.sub("@(TITLE|DATA)@", lambda mark: parts[mark[0]], template)
