@@ -28,6 +28,29 @@ def test_available_is_a_plausible_number():
     assert found is None or 0 < found < 2**50
 
 
+@pytest.mark.parametrize(
+    ("own", "folder", "names"),
+    [
+        ("0::/slurm/job_7/step_0\n", "", ("memory.max", "memory.current")),
+        (
+            "9:name=systemd:/\n4:cpu,memory:/slurm/job_7/step_0\n",
+            "memory",
+            ("memory.limit_in_bytes", "memory.usage_in_bytes"),
+        ),
+    ],
+    ids=["v2", "v1"],
+)
+def test_limits_of_all_groups_above_count(tmp_path, own, folder, names):
+    (tmp_path / "own").write_text(own)
+    job = tmp_path / folder / "slurm" / "job_7"
+    (job / "step_0").mkdir(parents=True)
+    for group, values in ((job, ("5000", "2000")), (job / "step_0", ("max", "1000"))):
+        for name, value in zip(names, values):
+            (group / name).write_text(value + "\n")
+    assert memory._group_limits(tmp_path / "own", tmp_path) == [3000]
+    assert memory._group_limits(tmp_path / "none", tmp_path) == []
+
+
 def test_a_population_beyond_memory_is_refused_before_it_is_made(fntg, tmp_path):
     done = fntg("train", "--ga.population", 2 * 10**9, "--out", tmp_path / "run")
     assert (done.returncode, done.stdout) == (2, "")

@@ -42,10 +42,29 @@ def available() -> int | None:
         free = 1024 * int(lines["MemAvailable"].split()[0])
     except (OSError, KeyError, ValueError):
         return None
+    return min([free, *_group_limits(Path("/proc/self/cgroup"), Path("/sys/fs/cgroup"))])
+
+
+def _group_limits(own: Path, root: Path) -> list[int]:
+    """Bytes left in our control group and in all above it (a container, a Slurm job, a systemd
+    slice), of version 1 and 2, as far as they have a limit."""
     try:
-        group = Path("/sys/fs/cgroup")
-        limit = int((group / "memory.max").read_text())
-        free = min(free, limit - int((group / "memory.current").read_text()))
-    except (OSError, ValueError):
-        pass  # no container, or none with a limit ("max")
-    return free
+        lines = [line.split(":", 2) for line in own.read_text().splitlines()]
+    except OSError:
+        return []
+    found = []
+    for _, controllers, path in (line for line in lines if len(line) == 3):
+        if controllers == "":
+            top, names = root, ("memory.max", "memory.current")
+        elif "memory" in controllers.split(","):
+            top, names = root / "memory", ("memory.limit_in_bytes", "memory.usage_in_bytes")
+        else:
+            continue
+        group = Path(path.strip("/"))
+        for folder in (group, *group.parents):
+            try:
+                limit, used = (int((top / folder / name).read_text()) for name in names)
+            except (OSError, ValueError):
+                continue  # no such group seen from here, or no limit ("max")
+            found.append(max(limit - used, 0))
+    return found

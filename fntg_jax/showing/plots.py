@@ -3,10 +3,13 @@
 Every function writes a PNG and a PDF beside it and returns the PNG's path.
 """
 
+import io
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from fntg_jax.files import write_atomically
 
 # Okabe and Ito's palette.
 BLUE, ORANGE, GREEN, RED, SKY, PURPLE = (
@@ -60,11 +63,13 @@ def new_grid(rows: int, columns: int, width: float, height: float) -> tuple[Any,
 
 
 def save(figure: Any, path: str | Path) -> Path:
-    """Write `path` as PNG and as PDF, return the PNG's path."""
+    """Write `path` as PNG and as PDF, atomically, return the PNG's path.  Raises OSError."""
     path = Path(path)
-    with _style():
-        figure.savefig(path.with_suffix(".pdf"), bbox_inches="tight")
-        figure.savefig(path.with_suffix(".png"), bbox_inches="tight")
+    for suffix in (".pdf", ".png"):
+        drawn = io.BytesIO()
+        with _style():
+            figure.savefig(drawn, format=suffix[1:], bbox_inches="tight")
+        write_atomically(path.with_suffix(suffix), drawn.getvalue())
     return path.with_suffix(".png")
 
 
