@@ -1,6 +1,8 @@
 """The command in real processes: run folders, interruption, bad input."""
 
+import contextlib
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 
 from fntg_jax import export
+from fntg_jax.commands import cli
 from fntg_jax.learning.fitness import success
 
 SMALL = ("--seeds", 2, "--generations", 6, "--ga.population", 8, "--first-seed", 5)
@@ -319,3 +322,26 @@ def test_success_of_a_suite_is_counted_per_scene(finished):
     parts = success(found.outcome)
     for name in evaluation.PARTS:
         assert found.rates[name].share == np.mean(getattr(parts, name))
+
+
+def test_a_full_disk_under_stdout_is_one_line(monkeypatch, capsys):
+    from fntg_jax.commands import doctor
+
+    monkeypatch.setattr(doctor, "main", lambda argv: print("found"))
+    with open("/dev/full", "w") as full:
+        monkeypatch.setattr("sys.stdout", full)
+        with pytest.raises(SystemExit) as stop:
+            cli.main(["doctor"])
+    assert stop.value.code == 2
+    assert capsys.readouterr().err == "fntg: error: output: No space left on device\n"
+
+
+def test_a_lost_reader_of_words_stops_nothing(monkeypatch):
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w") as nobody:
+        monkeypatch.setattr("sys.stderr", nobody)
+        cli.say("still here")
+        monkeypatch.undo()
+        with contextlib.suppress(OSError):
+            nobody.close()

@@ -55,6 +55,8 @@ def main(argv: list[str] | None = None) -> None:
         refuse(f"command {command!r}: known are {', '.join(COMMANDS)}")
     try:
         importlib.import_module(f"fntg_jax.commands.{command}").main(rest)
+        if sys.stdout is not None:
+            sys.stdout.flush()  # what cannot be written shall not wait for the interpreter's end
     except ValueError as error:
         refuse(str(error))
     except _member_error() as error:
@@ -73,8 +75,18 @@ def main(argv: list[str] | None = None) -> None:
         raise SystemExit(130) from None
     except BrokenPipeError:
         # The reader has gone (`fntg ... | head`); nothing is left to say to it.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_stdout()
         raise SystemExit(1) from None
+    except OSError as error:
+        # A full disk, or a full /dev/stdout.
+        _drop_stdout()
+        refuse(f"{error.filename or 'output'}: {error.strerror or error}")
+
+
+def _drop_stdout() -> None:
+    """Nothing more goes there, also nothing that is still waiting."""
+    if sys.stdout is not None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _member_error() -> type[Exception]:
@@ -92,7 +104,9 @@ def refuse(message: str) -> None:
 
 
 def say(message: str) -> None:
-    print(message, file=sys.stderr, flush=True)
+    """A line on stderr.  Where nobody reads it any more, the work goes on all the same."""
+    with contextlib.suppress(OSError):
+        print(message, file=sys.stderr, flush=True)
 
 
 def parse(cls: type, argv: list[str], command: str, default: Any = None) -> Any:
