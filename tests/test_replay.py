@@ -142,6 +142,7 @@ def test_the_page_simulates_as_python_does(tmp_path):
     text = dom_of(replay.page(panels, "js").replace("</body>", script), tmp_path)
     found = json.loads(re.search('<pre id="out">(.*?)</pre>', text)[1])
     assert len(found) == len(panels) == 12
+    drawn = [evaluation.held_out_scenes(WORLD, suite, 5) for suite in suites]  # in float32
     with jax.enable_x64(True):
         double = lambda x: jnp.asarray(x, jnp.float64 if x.dtype == np.float32 else x.dtype)  # noqa: E731
         trials = []
@@ -149,8 +150,7 @@ def test_the_page_simulates_as_python_does(tmp_path):
             env = evaluation.environment_for(controller, WORLD)
             params = jax.tree.map(jnp.asarray, controller.params)
             run = jax.jit(lambda s, p=params, e=env, o=controller.output: trajectory(p, s, e, o))
-            for suite in suites:
-                scenes = evaluation.held_out_scenes(WORLD, suite, 5)
+            for scenes in drawn:
                 trials += [run(jax.tree.map(lambda x, n=n: double(x[n]), scenes)) for n in (1, 4)]
     for (robot, ball, obstacles, v, omega), trial in zip(found, trials):
         shown = trial.snapshot
