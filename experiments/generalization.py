@@ -97,6 +97,8 @@ def ablations(preset: TrainConfig) -> dict[str, TrainConfig]:
     without("suite", "", "open")  # no obstacle in the way, no ball that rolls
     if "moving-ball" in preset.suite:
         without("suite", "", "open:2,blocked:3")  # no ball that rolls
+    if "/" in preset.suite:
+        without("suite", "", "open:1,blocked:2,moving-ball:2")  # no ball at a wall
     without("gate", "smooth", 1000.0)  # stopping always counts
     without("margin", "smooth", 0.145)  # no more clearance than what counts
     return found
@@ -268,10 +270,10 @@ def plot(rows: list[Row], path: Path) -> Path:
             x, median, [median - low, high - median], fmt="_", ms=16, mew=2, capsize=3,
             color=colours[name], label=name,
         )  # fmt: skip
-        for at, value, top in zip(x, median, np.maximum(high, success.max(0))):
+        for at, value in zip(x, median):
             panel.annotate(
-                f"{value:.1f}", (at, top), (0, 4), textcoords="offset points", ha="center",
-                fontsize=7, color=colours[name],
+                f"{value:.1f}", (at, value), (5, 3), textcoords="offset points", ha="left",
+                fontsize=6, color=colours[name],
             )  # fmt: skip
     panel.set_xticks(np.arange(len(suites())), [s.replace("-", "-\n") for s in suites()])
     panel.set_ylim(-2, 109)

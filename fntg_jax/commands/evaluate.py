@@ -19,7 +19,7 @@ class EvaluateOptions:
     controller: Annotated[Path, tyro.conf.Positional]
     """params.json or a run folder."""
     suite: str = "all"
-    """one suite, or all."""
+    """one suite (with its options: blocked/wall=0.1), or all."""
     scenes: int = 2000
     """scenes a suite."""
     seed: int = 0
@@ -45,8 +45,8 @@ def main(argv: list[str]) -> None:
     controller = load_controller(options.controller)
     name = options.env or controller.env
     world = registry.get_world(name)
-    if options.suite != "all" and options.suite not in world.suites:
-        raise ValueError(f"suite = {options.suite!r}: known are all, {', '.join(world.suites)}")
+    if options.suite != "all":
+        registry.get_suite(world, options.suite)
     env = evaluation.environment_for(controller, world, **options.env_options)
     suites = evaluation.held_out_suites(world) if options.suite == "all" else [options.suite]
     results = [
