@@ -82,8 +82,8 @@ class TrainConfig:
 PRESETS = {
     # Faithful to the paper, Section "Genetic learning".
     "paper": TrainConfig(),
-    # For scenes never seen in training, with balls at walls and near obstacles in it: where every
-    # ball kept 0.30 and 0.35 m from them, moving-anywhere came to 86 % (10 000 scenes).
+    # For scenes never seen in training, with balls at walls and near obstacles: where in training every
+    # ball keeps 0.30 and 0.35 m from them, controllers come to less there (docs/suites.md).
     "robust": TrainConfig(
         output="clip",
         suite=(
