@@ -95,3 +95,17 @@ def test_a_bad_log_leaves_no_poses(fntg, tmp_path):
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.count("\n") == 1 and "log.csv row 2: dy = 'x'" in done.stderr
     assert [p.name for p in tmp_path.iterdir()] == ["log.csv"]
+
+
+@pytest.mark.slow
+def test_the_experiment_at_a_tiny_budget(tmp_path, capsys):
+    from experiments import localization
+
+    options = localization.Options(out=tmp_path, logs=2, seconds=3.0, cost=2)
+    path = localization.run(options)
+    assert path.stat().st_size > 20_000 and path.with_suffix(".pdf").exists()
+    printed = capsys.readouterr().out
+    rows = path.with_suffix(".csv").read_text().splitlines()
+    assert rows[0] == "question,level,method,log,value"
+    for method in localization.METHODS:
+        assert method in printed and any(f",{method}," in row for row in rows)

@@ -26,7 +26,7 @@ BEARING_NOISE = tuple(math.radians(x) for x in (0.7, 1.2, 2.0, 3.5, 6.0, 10.0))
 ODOMETRY_NOISE = ((0.07, 0.002, 0.002), (0.15, 0.004, 0.004), (0.3, 0.01, 0.01))
 RANGE_FLOOR = 0.005  # m, assumed: no distance is better than that
 # Standard deviations at the start (assumed): of a pose that the log gives, of s, k and b.
-START_SD = (0.03, 0.03, 0.05)
+START_SD = (0.015, 0.015, 0.02)
 ODOMETRY_SD = (0.1, 0.1, 0.03)
 DRIFT = (0.003, 0.003, 0.001)  # of s, k, b in a second, assumed: they change slowly
 ACROSS = 0.25  # of the random error of a motion, at right angles to it, assumed

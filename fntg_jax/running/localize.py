@@ -146,7 +146,8 @@ def _events(rows: list[Row], landmarks: dict[str, tuple[float, float]]):
         if row.kind == "odometry":
             last, ahead = row.time, next(upcoming, None)
             ends.append(len(events) - 1)
-        elif ends and rows[0] is not row and row.time == last and row.kind == "landmark":
+        elif ends and row.kind == "landmark" and row.time == last:
+            # Seen at the very time of the pose: it counts for it.
             ends[-1] = len(events) - 1
     return events, ends
 
@@ -178,14 +179,15 @@ def table(poses: Poses) -> str:
 
 def read_truth(path: Path) -> np.ndarray:
     """[N, 4] time, x, y, heading of a CSV file with that header.  Raises ValueError."""
-    found = [
-        [_number(where, *pair) for pair in zip(POSE_HEADER, cells)]
-        for where, cells in _rows(path, POSE_HEADER)
-    ]
-    truth = np.array(found).reshape(-1, 4)
-    if not len(truth) or (np.diff(truth[:, 0]) < 0).any():
-        raise ValueError(f"{path}: time must be there and must not decrease")
-    return truth
+    found: list[list[float]] = []
+    for where, cells in _rows(path, POSE_HEADER):
+        row = [_number(where, *pair) for pair in zip(POSE_HEADER, cells)]
+        if found and row[0] < found[-1][0]:
+            raise ValueError(f"{where}: time = {cells[0]}: must not be before {found[-1][0]:g}")
+        found.append(row)
+    if not found:
+        raise ValueError(f"{path}: no pose")
+    return np.array(found)
 
 
 def at(truth: np.ndarray, time: np.ndarray) -> np.ndarray:
