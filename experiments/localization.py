@@ -336,7 +336,11 @@ def plot(rows, found, coverage, path: Path) -> Path:
             axis.plot([row[1] for row in chosen], means, "o-", color=colour, ms=3, label=name)
         axis.set_xlabel(question)
         axis.set_yscale("log")
+        axis.set_yticks((1, 2, 3, 5, 10, 20), labels=("1", "2", "3", "5", "10", "20"))
+        axis.minorticks_off()
     axes[0, 1].set_xscale("log")
+    axes[0, 1].set_xticks(SIGHTINGS, labels=[f"{s:g}" for s in SIGHTINGS])
+    axes[0, 1].minorticks_off()
     axes[0, 1].invert_xaxis()
     axes[0, 0].set_ylabel("mean error, cm")
     for n, (axis, title) in enumerate(zip(axes[1, :2], ("begun anywhere", "kidnapped"))):
