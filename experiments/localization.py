@@ -379,16 +379,16 @@ def run(options: Options) -> Path:
         file.write("question,level,method,log,value\n")
         for question, level, name, errors in rows:
             for n, error in enumerate(errors):
-                file.write(f'"{question}",{level:g},{name},{n},{error:.6g}\n')
+                file.write(f'"{question}",{level:g},"{name}",{n},{error:.6g}\n')
         for name, both in found.items():
             for title, taken in zip(("s to 25 cm begun anywhere", "s to 25 cm kidnapped"), both):
                 for n, value in enumerate(taken):
-                    file.write(f"{title},0,{name},{n},{value:.6g}\n")
+                    file.write(f'{title},0,"{name}",{n},{value:.6g}\n')
         for name, shares in coverage.items():
             for level, share in zip(COVERAGE, shares):
-                file.write(f"within the ellipse,{level:g},{name},,{share:.6g}\n")
+                file.write(f'within the ellipse,{level:g},"{name}",,{share:.6g}\n')
         for name, value in speed.items():
-            file.write(f"updates a second,0,{name},,{value:.6g}\n")
+            file.write(f'updates a second,0,"{name}",,{value:.6g}\n')
     return path
 
 

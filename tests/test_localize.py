@@ -108,4 +108,4 @@ def test_the_experiment_at_a_tiny_budget(tmp_path, capsys):
     rows = path.with_suffix(".csv").read_text().splitlines()
     assert rows[0] == "question,level,method,log,value"
     for method in localization.METHODS:
-        assert method in printed and any(f",{method}," in row for row in rows)
+        assert method in printed and any(f',"{method}",' in row for row in rows)
