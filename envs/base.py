@@ -325,7 +325,7 @@ class Task(NamedTuple):
     init: key -> memory, a pytree of arrays: what fitness remembers from generation to generation (a
     hall of fame, a curriculum).  Its structure and shapes never change; it is checkpointed.
     judge: (key, theta [N, genes], memory) -> {name: numbers [N]}, on what no fitness was computed
-    from.  The last population's individual with the largest first number is the result; without
+    from.  The last population's individual with the largest number "score" is the result; without
     `judge` it is the best of all generations, which fits a fitness that does not change.
     files: {gene: value} -> {file name: text}, the result in the task's own format, or None.
     """

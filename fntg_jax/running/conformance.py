@@ -158,7 +158,8 @@ def task(task: Task, population: int = 4) -> Iterator[Check]:
     if task.judge is not None:
         judged = jax.jit(task.judge)(key, theta, new if not wrong else memory)
         shapes = {name: x.shape for name, x in judged.items() if x.shape != shape}
-        yield Check("judge gives numbers [N] by name", str(shapes or ("" if judged else "none")))
+        yield Check("judge gives numbers [N] by name", str(shapes or ""))
+        yield Check("one of them is the score", "" if "score" in judged else str(list(judged)))
     if task.files is not None:
         files = task.files({g.name: float(x) for g, x in zip(task.genes, theta[0])})
         plain = all(isinstance(x, str) and "/" not in n for n, x in files.items())

@@ -41,8 +41,8 @@ class Result(NamedTuple):
     scenes this is the best genome of all generations; where scenes change, the individual of
     the last population (or its refinement) that is best on validation scenes of their own.
 
-    In tasks with a judgement: the individual of the last population with the best first number of
-    it, which is its fitness here.  judgement: all numbers [S], from other draws than the choice.
+    In tasks with a judgement: the individual of the last population with the best "score" of it,
+    which is its fitness here.  judgement: all numbers [S], from other draws than the choice.
     """
 
     theta: np.ndarray
@@ -87,7 +87,7 @@ def _judged(evolved: Evolved, judge: Any) -> Result:
         del shared
         theta = problem.in_units(genome.decode(state.bits, coding.num_bits, coding.gray))
         k_choice, k_report = jax.random.split(jax.random.fold_in(state.key, _JUDGE))
-        value = next(iter(judge(k_choice, theta, state.memory).values()))
+        value = judge(k_choice, theta, state.memory)["score"]
         best = _best_first(value)[0]
         numbers = judge(k_report, theta[best][None], state.memory)
         names[:] = numbers  # jax would sort a dict by its names
