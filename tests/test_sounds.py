@@ -101,6 +101,8 @@ def test_files_that_are_no_sounds_get_one_line(said, tmp_path, capsys):
         lambda: bad.write_bytes(b"no sound at all, but some text"),
         lambda: bad.write_bytes(good.read_bytes()[:30]),
         lambda: bad.write_bytes(good.read_bytes()[:44]),
+        lambda: bad.write_bytes(good.read_bytes()[:1000]),
+        lambda: bad.write_bytes(good.read_bytes().replace(b"fmt ", b"fmu ")),
         wav(rate, nan),
         wav(4000, clean.astype(np.float32)),
         wav(rate, np.zeros(0, np.int16)),

@@ -33,7 +33,7 @@ NEAREST = 0.1  # m, from a robot's speaker to its own microphones (assumed)
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Hall:
-    """Levels in dB over 20 uPa, root mean square; all assumed.
+    """Levels in dB over 20 uPa, root mean square; all assumed, for a hall of 3000 m^3.
 
     voice: a robot's speaker at 1 m in front of it.  motors: at the robot's own microphones while it
     walks.  ambient: the hall's own noise.  echo_time: s until echo has fallen by 60 dB.
@@ -43,8 +43,8 @@ class Hall:
     voice: Scalar = 65.0
     motors: Scalar = 55.0
     ambient: Scalar = 45.0
-    echo_time: Scalar = 0.5
-    critical_distance: Scalar = 1.5
+    echo_time: Scalar = 1.2
+    critical_distance: Scalar = 2.8  # 0.057 sqrt(volume / echo_time)
 
 
 def pressure(level: Scalar) -> Scalar:
@@ -67,9 +67,12 @@ def echo(key: Array, num_robots: int, hall: Hall) -> Complex[Array, "R 2 R frequ
     """Transfer function of the room alone, of energy 1/critical_distance^2."""
     samples = _LENGTH - _HISTORY
     time = jnp.arange(samples) / RATE
-    # The first reflections arrive some milliseconds after the direct sound.
-    decay = jnp.where(time < 0.004, 0.0, jnp.exp(-3 * math.log(10) * time / hall.echo_time))
-    decay = decay / jnp.sqrt((decay**2).sum()) / hall.critical_distance
+    # The first reflections arrive some milliseconds after the direct sound; what comes after 0.2 s
+    # is left out.
+    rate = 6 * math.log(10) / hall.echo_time
+    decay = jnp.where(time < 0.004, 0.0, jnp.exp(-rate / 2 * time))
+    energy = RATE / rate * jnp.exp(-0.004 * rate)
+    decay = decay / jnp.sqrt(energy) / hall.critical_distance
     noise = jax.random.normal(key, (num_robots, 2, num_robots, samples))
     return jnp.fft.rfft(noise * decay, _LENGTH)
 

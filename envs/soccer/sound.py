@@ -1,5 +1,8 @@
-"""Sound as symbols: a message takes its time, is heard within a range, and two at once garble each
-other, whoever's they are."""
+"""Sound as symbols: a message takes its time, is lost more often from farther away, and two of one
+team at once garble each other; the other team's voices have a band of their own.
+
+The losses are fitted to the audio level (`envs.soccer.audio`) by experiments/communication.py.
+"""
 
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -34,12 +37,15 @@ def speak(
     n = robots.x.shape[0]
     dx = robots.x[:, None] - robots.x[None]
     dy = robots.y[:, None] - robots.y[None]
-    same = jnp.eye(n, dtype=bool).reshape(n, n, *(1,) * (robots.x.ndim - 1))
-    # [sender, receiver]: within earshot; a robot hears itself, too, and then nobody else.
-    audible = speaks[:, None] & ((dx * dx + dy * dy < air.range**2) | same)
+    alike = (n, n, *(1,) * (robots.x.ndim - 1))
+    same = jnp.eye(n, dtype=bool).reshape(alike)
+    mates = jnp.kron(jnp.eye(2), jnp.ones((n // 2, n // 2))).astype(bool).reshape(alike)
+    # [sender, receiver]: in the receiver's band; who speaks hears itself, and then nobody else.
+    audible = speaks[:, None] & mates
     voices = audible[0].astype(jnp.int32)
     for k in range(1, n):
         voices = voices + audible[k]
+    lost = 1 / (1 + jnp.exp((air.half - jnp.sqrt(dx * dx + dy * dy)) / air.width))
     garbled = (talk.garbled & ~starts[:, None]) | ~audible | (voices[None] > 1)
     after = jnp.maximum(left - dt, 0)
     after = jnp.where(after < 0.25 * dt, 0.0, after)
@@ -51,14 +57,14 @@ def speak(
         shirt = sender % (n // 2)
         away = upright([(k >= n // 2) != (sender >= n // 2) for k in range(n)], robots.x)
         own, theirs = (noise.uniform(key, FIRST_CHANNEL + shirt + m * (n // 2)) for m in (0, 1))
-        kept.append(jnp.where(away, theirs, own) >= air.loss)
+        kept.append(jnp.where(away, theirs, own) >= lost[sender])
     arrived = ends[:, None] & ~garbled & ~same & jnp.stack(kept)
     return Talk(low, high, after, garbled & speaks[:, None], arrived)
 
 
 def heard(talk: Talk) -> tuple[Array, Array]:
     """What each robot has just heard of its own team: words [N, 2, R] by the sender's shirt, and
-    whether they arrived whole, [N, R].  The other team only jams."""
+    whether they arrived whole, [N, R]."""
     n = talk.low.shape[0] // 2
     words, valid = [], []
     for shirt in range(n):

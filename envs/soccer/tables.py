@@ -144,11 +144,12 @@ class Feelings(NamedTuple):
 
 
 class Air(NamedTuple):
-    """Sound as symbols.  range: m; duration: s of a message; loss: share lost without collision."""
+    """Sound as symbols.  duration: s of a message; of those from a distance d, m, the share
+    1 / (1 + exp((half - d) / width)) is lost."""
 
-    range: float
     duration: float
-    loss: float
+    half: float
+    width: float
 
 
 @cache

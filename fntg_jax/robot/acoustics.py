@@ -40,6 +40,8 @@ _ORDER = 4 * (11 * _ORDER % DATA) + _ORDER // DATA  # place of coded bit i among
 # What a window must have to be worth decoding, and a frame to be believed: see docs.
 SYNC_LEAST = 0.2
 QUALITY_LEAST = 0.8
+# Odds of a frame, before its checksum is looked at: exp(SLOPE (quality - EVEN)).
+SLOPE, EVEN = 60.0, 0.81
 
 
 class Decoded(NamedTuple):
@@ -211,11 +213,11 @@ def find(
     return jax.vmap(read, (None, 0))(energy, starts)
 
 
-def confidence(quality: Float[Array, "..."], sync: Float[Array, "..."]) -> Float[Array, "..."]:
+def confidence(quality: Float[Array, "..."]) -> Float[Array, "..."]:
     """Probability that a frame with a right checksum is the one that was sent.
 
     By Bayes' rule from the share of right frames at this quality before the checksum is looked at,
     and from the one in 2^20 that a wrong frame has a right checksum by chance.
     """
-    odds = jnp.exp(60.0 * (quality - 0.81))
+    odds = jnp.exp(SLOPE * (quality - EVEN))
     return odds / (odds + 2.0**-20)
