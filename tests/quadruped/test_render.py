@@ -74,16 +74,16 @@ def test_the_dog_and_the_ball_are_in_the_picture(draw):
 def test_a_film_is_a_walk_in_the_full_model(monkeypatch):
     monkeypatch.setattr(render, "_need_display", lambda: None)
     batch = scenes.open_field(jax.random.key(2), 2)
-    film = world.film(make(), batch, lambda seen: Command(0.2 + 0 * seen.d_ball, 0.0), True)
+    film = world.film(make(), batch, lambda seen: Command(0.1 + 0 * seen.d_ball, 0.0), True)
     assert film.measured.d_ball.shape == (221, 2) and film.command.v.shape == (220, 2)
     assert film.failed.shape == (2,) and film.dt == pytest.approx(0.05)
     dog, radii = film._qpos[..., :2], film._obstacles[..., 2]
     assert dog.shape == (441, 2, 2) and film._qpos.shape[-1] > 24  # head, tail and ball, too
     np.testing.assert_allclose(dog[0], batch.start[:, :2], atol=1e-3)
     np.testing.assert_allclose(radii, np.tile(batch.obstacles[:, :, 2], (441, 1, 1)), atol=1e-6)
-    # 0.2 m/s for the first three seconds, before anything is in the way.
+    # 0.1 m/s, which the servos allow, for the first seconds, before anything is in the way.
     steps = np.linalg.norm(dog[60] - dog[20], axis=-1) / 2
-    np.testing.assert_allclose(steps, 0.2, atol=0.02)
+    np.testing.assert_allclose(steps, 0.1, atol=0.02)
 
 
 def test_a_back_end_that_does_not_load_is_one_line(python):
