@@ -1,5 +1,6 @@
 """What all tests share: a repeatable hypothesis profile and a way to run the command."""
 
+import ctypes.util
 import os
 import subprocess
 import sys
@@ -9,6 +10,11 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from fntg_jax.running import xla
+
+# MuJoCo aborts the process where it draws without a display and was not told how before anything
+# imported it.
+if not os.environ.get("DISPLAY") and ctypes.util.find_library("EGL"):
+    os.environ.setdefault("MUJOCO_GL", "egl")
 
 # XLA reads its flags when it starts.  Without them the quadruped's step takes minutes to compile.
 xla.configure()
@@ -30,7 +36,8 @@ ROOT = Path(__file__).parent.parent
 @pytest.fixture(scope="session")
 def clean_env(tmp_path_factory):
     """Environment variables for child processes: CPU, and a compile cache of this session."""
-    env = {k: v for k, v in os.environ.items() if not k.startswith(("XLA_", "JAX_", "FNTG_"))}
+    ours = ("XLA_", "JAX_", "FNTG_", "MUJOCO_")
+    env = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
     cache = tmp_path_factory.mktemp("cache")
     return {**env, "JAX_PLATFORMS": "cpu", "XDG_CACHE_HOME": str(cache), "COLUMNS": "80"}
 
