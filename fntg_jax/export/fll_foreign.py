@@ -25,6 +25,11 @@ _LAYOUTS = ("paper-31", "reduced-47", "full-63")  # the first that has these par
 _SIDES = ("left", "right", "not influencing")
 _FITS = 1e-3  # of a formula to its label: numbers may be rounded to three decimals
 
+_KEYS = {
+    "description", "enabled", "range", "lock-range", "aggregation", "defuzzifier", "default",
+    "lock-previous", "conjunction", "disjunction", "implication", "activation",
+}  # fmt: skip
+
 Block = dict[str, Any]  # key -> value; "term": name -> (kind, arguments); "rule": list
 
 
@@ -60,8 +65,12 @@ def _blocks(text: str) -> dict[str, Block]:
             block.setdefault("term", {})[name] = (kind, arguments)
         elif key == "rule":
             block.setdefault("rule", []).append(value)
-        else:
+        elif key in _KEYS:
             block[key] = value
+        else:
+            raise ValueError(f"line {number}: {key[:40]!r} is no key of the FuzzyLite Language")
+    if not any(name.startswith("Engine") for name in found):
+        raise ValueError("no Engine")
     return found
 
 
