@@ -338,6 +338,10 @@ class Task(NamedTuple):
     files: Callable[[dict[str, float]], dict[str, str]] | None = None
 
 
+class Refusal(ValueError):
+    """What a world raises where a setting cannot work, in one line: no failure of its code."""
+
+
 def check_options(options: dict[str, float], known: Mapping[str, tuple[float, float]]) -> None:
     """Refuse an option that a world does not know or whose value is out of range.
 

@@ -16,6 +16,7 @@ import jax
 import mujoco
 import numpy as np
 
+from envs.base import Refusal
 from envs.quadruped import dynamics, mjcf, rigid_body
 from envs.quadruped.locomotion import Gait, leg_inverse, stance
 
@@ -99,14 +100,14 @@ def step_fn(solver: Solver) -> StepFn:
         return structured
     if solver.impl == "jax" and on_cpu and fused:
         # jaxlib 0.10.2: "Check failed: GetNumDims() == other.GetNumResults()", an abort.
-        raise ValueError(
+        raise Refusal(
             f"impl = 'jax' does not compile with {_FUSION}, which fntg sets: FNTG_XLA_FLAGS=off"
             " leaves it out; or take impl = 'structured', --env quadruped"
         )
     if solver.impl == "jax" and on_cpu and jax.local_device_count() > 1:
         # jaxlib 0.10.2: batched Cholesky factorisations on two CPU devices of one process wait for
         # each other's threads for ever.  The structured step has none.
-        raise ValueError(
+        raise Refusal(
             "impl = 'jax' can hang on more than one CPU device in a process: set"
             " XLA_FLAGS=--xla_force_host_platform_device_count=1, or take impl = 'structured',"
             " --env quadruped"

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from importlib import metadata
 from typing import Any
 
-from envs.base import World
+from envs.base import Refusal, World
 
 WORLDS, TASKS, MATCHES = "fntg_jax.worlds", "fntg_jax.tasks", "fntg_jax.matches"
 
@@ -27,7 +27,7 @@ def code_of(what: str, *objects: Any) -> Iterator[None]:
     (functions, or the classes of what is none)."""
     try:
         yield
-    except MemberError:
+    except (MemberError, Refusal):
         raise
     except Exception as error:
         frames = {frame.filename for frame in traceback.extract_tb(error.__traceback__)}
