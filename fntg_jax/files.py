@@ -62,3 +62,25 @@ def inert_json(value: Any) -> str:
     for character in "<>&/*#?":
         text = text.replace(character, f"\\u{ord(character):04x}")
     return text
+
+
+def read_text(path: str | Path, what: str) -> str:
+    """The text of a small file of ours.
+
+    what: "parameter file", "team file": what a larger file is not.  Raises ValueError in one line
+    when it cannot be read, is over 1 MB (a real one has about 10 kB) or is not UTF-8.
+    """
+    try:
+        with open(path, "rb") as file:
+            data = file.read(_MAX_BYTES + 1)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise ValueError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+    if len(data) > _MAX_BYTES:
+        raise ValueError(f"{path}: over {_MAX_BYTES} bytes, not a {what}")
+    try:
+        return data.decode()
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: not UTF-8 text") from None
+
+
+_MAX_BYTES = 1_000_000

@@ -11,7 +11,7 @@ from fntg_jax.controller.controller import Controller
 from fntg_jax.learning import fitness
 from fntg_jax.learning.rollout import Outcome, rollout_pairs
 from fntg_jax.running import memory
-from fntg_jax.running.settings import get_suite
+from fntg_jax.running.registry import get_suite
 
 PARTS = ("reach", "safe", "stop", "success")
 

@@ -14,7 +14,6 @@ from fntg_jax.controller.layout import get_layout
 from fntg_jax.learning import ga
 from fntg_jax.learning.fitness import PaperWeights, SmoothWeights
 from fntg_jax.learning.ga import GAConfig
-from fntg_jax.running.registry import get_suite, get_world  # noqa: F401
 
 
 @dataclasses.dataclass(frozen=True)

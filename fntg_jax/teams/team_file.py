@@ -10,11 +10,10 @@ from typing import Any, NamedTuple
 
 from fntg_jax.controller.controller import Controller
 from fntg_jax.export import json_format
-from fntg_jax.files import write_atomically
+from fntg_jax.files import read_text, write_atomically
 from fntg_jax.robot.genes import GENES, Genes, check
 
 FORMAT, VERSION = "fntg-team", 1
-_MAX_BYTES = 1_000_000  # a real file has 12 kB
 
 
 class TeamFile(NamedTuple):
@@ -56,17 +55,7 @@ def save(team: TeamFile, path: str | Path) -> None:
 
 def load(path: str | Path) -> TeamFile:
     """Read a team.  Raises ValueError (one line): file, field, value, what is allowed."""
-    try:
-        with open(path, "rb") as file:
-            data = file.read(_MAX_BYTES + 1)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise ValueError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
-    if len(data) > _MAX_BYTES:
-        raise ValueError(f"{path}: over {_MAX_BYTES} bytes, not a team file")
-    try:
-        text = data.decode()
-    except UnicodeDecodeError:
-        raise ValueError(f"{path}: not UTF-8 text") from None
+    text = read_text(path, "team file")
     return from_dict(json_format.parse_json(text, str(path)), str(path))
 
 
