@@ -9,6 +9,7 @@ The table of commands is `python -m experiments.locomotion table`.
 """
 
 import dataclasses
+import json
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -57,16 +58,18 @@ def _main(config: Config) -> None:
         raise ValueError(f"variant = 'full': allowed with {config.what} is lean")
     script.check_files(config, "out")
     xla.configure()
-    from envs.quadruped import gait_task, measure
+    from envs.quadruped import measure, styles
     from envs.quadruped.environment import Quadruped
     from envs.quadruped.locomotion import DEFAULT_GAIT, load_gait
 
-    gait = load_gait(config.gait or DEFAULT_GAIT)
+    path = config.gait or DEFAULT_GAIT
+    gait = load_gait(path)
     env = Quadruped(gait=gait)
     if config.what == "calibrate":
-        found = gait_task.calibrate(env, jax.random.key(config.seed))
-        origin = f"{config.gait or DEFAULT_GAIT}, calibrated with seed {config.seed}"
-        config.out.write_text(gait_task.document(found, origin), encoding="utf-8")
+        table = styles.calibrate(env, measure.RANGE)
+        origin = json.loads(path.read_text(encoding="utf-8"))["origin"]
+        text = styles.document(dataclasses.replace(gait, calibration=table), origin)
+        config.out.write_text(text, encoding="utf-8")
         print(config.out)
     elif config.what == "speed":
         commands = np.array([[v, 0, 0] for v in np.arange(0.04, 0.33, 0.04)], np.float32)

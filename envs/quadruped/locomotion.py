@@ -12,7 +12,6 @@ import dataclasses
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +21,7 @@ from jaxtyping import Array, Float
 from envs.base import Scalar
 from envs.field import bearing
 from envs.quadruped import constants as c
+from envs.quadruped.calibration import Calibration, ask, fit
 
 FORE = np.asarray(c.FORE, np.float32)
 SIDE = np.asarray(c.SIDE, np.float32)
@@ -50,7 +50,7 @@ class Gait:
     stand ahead of their shoulder, m.  fore_y, hind_y: how far outside, m.  tilt: by how much the
     fore shoulders are lower, m.
     gain_*: stride per wanted displacement.  calibration: what to ask for so that the dog walks as
-    wanted (`calibrated`).
+    wanted; None: what is wanted.
     v_rate, omega_rate: how fast strides may change, m/s^2 and rad/s^2.
     full_lift: speed of a foot from which on steps have their full height, m/s: below it the dog
     treads less, and without a command it stands.
@@ -70,7 +70,7 @@ class Gait:
     gain_x: Scalar = 1.0
     gain_y: Scalar = 1.0
     gain_omega: Scalar = 1.0
-    calibration: Any = ((1.0, 0, 0, 0, 0, 0),) * 3
+    calibration: Calibration | None = None
     v_rate: Scalar = 2.0
     omega_rate: Scalar = 15.0
     full_lift: Scalar = 0.02
@@ -82,55 +82,34 @@ def load_gait(path: Path | str = DEFAULT_GAIT) -> Gait:
     Raises ValueError (one line) where the file, a name or a value is not what is allowed.
     """
     try:
-        values = json.loads(Path(path).read_text(encoding="utf-8"))["gait"]
-        values = {name: np.asarray(value, float) for name, value in values.items()}
+        file = json.loads(Path(path).read_text(encoding="utf-8"))
+        values = {name: np.asarray(value, float) for name, value in file["gait"].items()}
+        table = file.get("calibration")
+        table = table and {n: np.asarray(table[n], float) for n in ("scale", "rows")}
     except OSError as error:
         raise ValueError(f"gait = {path}: {error.strerror or error}") from None
     except (ValueError, TypeError, KeyError, AttributeError):
         raise ValueError(
             f"gait = {path}: allowed is a JSON file with numbers by name under 'gait'"
         ) from None
-    known = {f.name for f in dataclasses.fields(Gait)}
+    known = {f.name for f in dataclasses.fields(Gait)} - {"calibration"}
     if unknown := sorted(set(values) - known):
         raise ValueError(f"gait {path}: unknown {unknown}; allowed are {sorted(known)}")
     for name, value in values.items():
-        shape = (3, 6) if name == "calibration" else ()
-        if value.shape != shape or not np.isfinite(value).all():
-            raise ValueError(
-                f"gait {path}: {name} = {value}; allowed are finite numbers"
-                + (", three rows of six" if shape else "")
-            )
+        if value.shape != () or not np.isfinite(value):
+            raise ValueError(f"gait {path}: {name} = {value}; allowed are finite numbers")
         if name in _POSITIVE and value <= 0:
             raise ValueError(f"gait {path}: {name} = {value}; allowed are numbers above 0")
-    return Gait(**{name: as_number(value) for name, value in values.items()})
-
-
-def as_number(value):
-    """A JSON number, or rows of them as tuples: a dataclass must be comparable."""
-    rows = np.asarray(value, float).tolist()
-    return tuple(map(tuple, rows)) if isinstance(rows, list) else rows
-
-
-def calibrated(gait: Gait, wanted: Float[Array, "3"]) -> Float[Array, "3"]:
-    """The velocity to make strides for so that the dog, which slips, walks as wanted.
-
-    A row of `Gait.calibration` times each velocity's `slip_terms`.
-    """
-    table = gait.calibration
-    rows = slip_terms(wanted[0], wanted[1], wanted[2])
-    return jnp.stack(
-        [sum(table[i][j] * x for j, x in enumerate(row)) for i, row in enumerate(rows)]
-    )
-
-
-def slip_terms(v, v_y, omega, xp=jnp):
-    """What v, v_y and omega are fitted with: powers, products that a dog which is its own mirror
-    image may have, and a step at small commands, where feet stick."""
-    return (
-        (v, v * v, v * v * v, omega * omega, v_y * omega, xp.tanh(v / 0.03)),
-        (v_y, v_y * v_y * v_y, omega, v * omega, v * v_y, xp.tanh(v_y / 0.02)),
-        (omega, omega * omega * omega, v_y, v * v_y, v * v * omega, xp.tanh(omega / 0.2)),
-    )
+    if table is not None:
+        scale, rows = table["scale"], table["rows"]
+        if scale.shape != (3,) or not (scale > 0).all():
+            raise ValueError(f"gait {path}: calibration.scale = {scale}; allowed are three above 0")
+        if rows.ndim != 2 or rows.shape[1] != 6 or len(rows) < 4 or not np.isfinite(rows).all():
+            raise ValueError(
+                f"gait {path}: calibration.rows: allowed are rows of six finite numbers"
+            )
+    table = table and fit(table["rows"], table["scale"])
+    return Gait(**{name: float(value) for name, value in values.items()}, calibration=table)
 
 
 def leg_forward(q: Float[Array, "*b 4 3"]) -> Float[Array, "*b 4 3"]:
@@ -199,7 +178,8 @@ def foot_targets(
     at the foot times the time on the ground.
     """
     stand = stance(gait)
-    velocity = calibrated(gait, velocity)
+    if gait.calibration is not None:
+        velocity = ask(gait.calibration, velocity)
     vx = gait.gain_x * velocity[0] - gait.gain_omega * velocity[2] * stand[:, 1]
     vy = gait.gain_y * velocity[1] + gait.gain_omega * velocity[2] * stand[:, 0]
     on_ground = gait.duty * gait.period

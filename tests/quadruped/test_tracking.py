@@ -119,7 +119,8 @@ def test_the_table_is_json_for_machines(capsys, monkeypatch):
         ('{"gait": {"period": "x"}}', "allowed is a JSON file with numbers by name under 'gait'"),
         ('{"gait": {"period": 0}}', "period = 0.0; allowed are numbers above 0"),
         ('{"gait": {"lift": NaN}}', "lift = nan; allowed are finite numbers"),
-        ('{"gait": {"calibration": [[1, 2], [3, 4]]}}', "three rows of six"),
+        ('{"gait": {}, "calibration": {"scale": [1, 1, 1], "rows": [[1, 2]]}}', "rows of six"),
+        ('{"gait": {}, "calibration": {"scale": [1, 0, 1], "rows": []}}', "three above 0"),
         ('{"gait": {"legs": 4}}', "unknown ['legs']"),
     ],
 )
