@@ -21,10 +21,8 @@ def slippery(wanted):
 def test_the_spline_is_scipys():
     wanted = sites(SCALE)
     found = fit(np.concatenate([wanted, slippery(wanted)], axis=1), SCALE)
-    both = np.unique(
-        np.round(np.concatenate([wanted, wanted * [1, -1, -1], np.zeros((1, 3))]) / SCALE, 5),
-        axis=0,
-    )
+    images = np.concatenate([wanted, wanted * [1, -1, -1], np.zeros((1, 3))])
+    both = np.unique(np.round(images / SCALE, 5), axis=0)
     theirs = RBFInterpolator(
         both, slippery(both * SCALE) / SCALE, kernel="cubic", degree=1, smoothing=1e-3
     )
