@@ -6,32 +6,20 @@ fixed, `jax.vmap` makes batches.  `sight.locate` turns the `Frame` into distance
 """
 
 import math
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from envs.base import SEEN, Camera, Field, Frame
 from fntg_jax.robot import colours
 from fntg_jax.robot.colours import Colours
-from fntg_jax.robot.components import components
+from fntg_jax.robot.components import Runs, runs
 
-# How many components of a class are looked at, largest first; 0 of those that mean nothing.
-_LOOKED_AT = {
-    colours.PINK: 4,
-    colours.YELLOW: 3,
-    colours.GREEN: 4,
-    colours.SKYBLUE: 3,
-    colours.ORANGE: 1,
-    colours.RED: 3,
-    colours.BLUE: 3,
-}
-_FIRST = dict(zip(_LOOKED_AT, np.cumsum([0, *_LOOKED_AT.values()])))
+_RUNS = 1024  # of a picture; rendered ones have up to 400, and what has more is no field
+_PINK, _BALLS, _GOALS, _ROBOTS = 6, 2, 3, 3  # components of a colour that are looked at
 _SMALLEST = 9  # pixels of a component; a ball at 2 m has about 30
-_NAME = 15  # bits of a pixel's index; its component's size has as many
 _SECTORS = 11  # directions for which the nearest obstacle is told
 _LINE = 9  # rows: what is white for longer is no line of the floor
 
@@ -61,9 +49,11 @@ class Team(NamedTuple):
 
 
 class Blobs(NamedTuple):
-    """Components, leaves [N] in the order of `_LOOKED_AT`: number of pixels, sum of their
-    confidences, centre and box (pixels, edges), and which columns they cover, [N, W]."""
+    """Components, leaves [N]: name (index of the first run), class, number of pixels (0: none),
+    mean of their confidences, centre and box (pixels, edges)."""
 
+    name: Int[Array, " N"]
+    colour: Int[Array, " N"]
     size: Float[Array, " N"]
     sure: Float[Array, " N"]
     x: Float[Array, " N"]
@@ -72,51 +62,34 @@ class Blobs(NamedTuple):
     x1: Float[Array, " N"]
     y0: Float[Array, " N"]
     y1: Float[Array, " N"]
-    columns: Bool[Array, "N W"]
 
 
-def blobs(classes: Int[Array, "H W"], sure: Float[Array, "H W"]) -> Blobs:
-    """The largest components of every class that means something."""
-    height, width = classes.shape
-    label = components(classes)
-    flat = classes.ravel()
-    count = jnp.zeros(height * width, jnp.int32).at[label.ravel()].add(1)
-    # Size and name in one number: the largest, the next, ... are plain maxima.
-    ranked = (count << _NAME) + jnp.arange(height * width)
-    names = []
-    for colour, number in _LOOKED_AT.items():
-        own = jnp.where((flat == colour) & (count >= _SMALLEST), ranked, -1)
-        best = jnp.int32(2**31 - 1)
-        for _ in range(number):
-            best = jnp.where(own < best, own, -1).max()
-            names.append(jnp.where(best < 0, -1, best & ((1 << _NAME) - 1)))
-    mask = label[None] == jnp.stack(names)[:, None, None]
-    weight = mask.astype(jnp.float32)
-    in_row, in_column = weight.sum(2), weight.sum(1)
-    size = in_row.sum(1)
-    rows, cols = jnp.arange(height) + 0.5, jnp.arange(width) + 0.5
-    over = 1 / jnp.maximum(size, 1)
-
-    def ends(counts, at):
-        some = counts > 0
-        return (
-            jnp.where(some, at - 0.5, 1e4).min(1),
-            jnp.where(some, at + 0.5, -1e4).max(1),
-        )
-
-    (y0, y1), (x0, x1) = ends(in_row, rows), ends(in_column, cols)
-    x0, x1, y0, y1 = (jnp.where(size > 0, v, 0.0) for v in (x0, x1, y0, y1))
-    return Blobs(
-        size=size,
-        sure=(weight * sure).sum((1, 2)) * over,
-        x=(in_column * cols).sum(1) * over,
-        y=(in_row * rows).sum(1) * over,
-        x0=x0,
-        x1=x1,
-        y0=y0,
-        y1=y1,
-        columns=in_column > 0,
+def blobs(found: Runs) -> Blobs:
+    """The components of a picture's runs, each at the index of its first run."""
+    length, row, start, sure = (
+        a.astype(jnp.float32) for a in (found.length, found.row, found.start, found.sure)
     )
+    parts = jnp.stack([length, sure, length * (start + 0.5 * length), length * (row + 0.5)], -1)
+    size, sure, x, y = jnp.zeros_like(parts).at[found.label].add(parts).T
+    # A loop of its own: XLA (jax 0.10.2, CPU) dies of making one loop of both.
+    far = jnp.full(length.shape, 1e4)
+    least = lambda a: far.at[found.label].min(jnp.where(length > 0, a, 1e4))  # noqa: E731
+    ends = jnp.stack([start, -start - length, row, -row - 1])
+    x0, x1, y0, y1 = jax.lax.map(least, ends)
+    over = 1 / jnp.maximum(size, 1)
+    name = jnp.arange(size.shape[0])
+    return Blobs(name, found.colour, size, sure * over / 255, x * over, y * over, x0, -x1, y0, -y1)
+
+
+def largest(b: Blobs, colour: Int[Array, ""] | int, number: int) -> list[Blobs]:
+    """The largest components of a class, largest first; of size 0 where there are no more."""
+    own = jnp.where((b.colour == colour) & (b.size >= _SMALLEST), b.size, 0.0)
+    found = []
+    for _ in range(number):
+        n = jnp.argmax(own)
+        found.append(Blobs(*(leaf[n] for leaf in b))._replace(size=own[n]))
+        own = jnp.where(b.name == n, 0.0, own)
+    return found
 
 
 def see(
@@ -128,12 +101,28 @@ def see(
 ) -> Sight:
     """All objects of a picture.
 
-    field: the map, for the colours of the landmarks; table: see `colours.load`.
+    field: the map, for the colours of the landmarks; table: see `colours.load`.  A picture of more
+    patches than a field can have shows nothing.
     """
+
+    def one(picture: Array, table: Colours, team: Team) -> Sight:
+        return _see(picture, table, team, field, camera)
+
+    if jax.default_backend() == "cpu":
+        # One picture after the other under `vmap`: each then stays in the cache.
+        one = jax.custom_batching.sequential_vmap(one)
+    return one(picture, table, team)
+
+
+def _see(picture, table: Colours, team: Team, field: Field, camera: Camera) -> Sight:
     height, width, _ = picture.shape
-    classes, sure = colours.classify(table, picture)
-    classes = classes.astype(jnp.int32)
-    b = blobs(classes, sure)
+    at = colours.cell(picture)
+    # Looked up once, and not anew wherever a class is asked for.
+    classes, sure = jax.lax.optimization_barrier((table.label[at], table.confidence[at]))
+    kept = (classes != colours.NONE) & (classes != colours.WHITE)
+    found = runs(classes, kept, sure, _RUNS)
+    readable = found.number <= _RUNS
+    b = blobs(found)
     across, down = math.tan(camera.horizontal / 2), math.tan(camera.vertical / 2)
 
     def ray(x, y):
@@ -152,80 +141,82 @@ def see(
     rows = []
 
     # Ball: as wide as its box or, where that is cut or frayed, as its area says.
-    k = int(_FIRST[colours.ORANGE])
-    wide, tall = b.x1[k] - b.x0[k], b.y1[k] - b.y0[k]
-    round_ = 2 * jnp.sqrt(b.size[k] / math.pi)
-    cut = (b.x0[k] < 1) | (b.y0[k] < 1) | (b.x1[k] > width - 1) | (b.y1[k] > height - 1)
-    whole = b.size[k] > 0.68 * wide * tall
-    broad = jnp.where(whole & ~cut, round_, jnp.maximum(wide, tall))
-    shape = (b.size[k] > 0.35 * wide * tall) & (wide < 3 * tall) & (tall < 3 * wide)
-    seen = (b.size[k] >= _SMALLEST) & shape & (b.sure[k] > 0.5)
-    x, y = 0.5 * (b.x0[k] + b.x1[k]), 0.5 * (b.y0[k] + b.y1[k])
-    rows.append((*angles(x, y), span(x - 0.5 * broad, y, x + 0.5 * broad, y), seen, b.sure[k]))
+    balls = []
+    for k in largest(b, colours.ORANGE, _BALLS):
+        wide, tall = k.x1 - k.x0, k.y1 - k.y0
+        cut = (k.x0 < 1) | (k.y0 < 1) | (k.x1 > width - 1) | (k.y1 > height - 1)
+        whole = k.size > 0.68 * wide * tall
+        round_ = 2 * jnp.sqrt(k.size / math.pi)
+        broad = jnp.where(whole & ~cut, round_, jnp.maximum(wide, tall))
+        seen = (k.size > 0.35 * wide * tall) & (wide < 3 * tall) & (tall < 3 * wide)
+        seen &= (k.size > 0) & (k.sure > 0.5)
+        x, y = 0.5 * (k.x0 + k.x1), 0.5 * (k.y0 + k.y1)
+        broad = span(x - 0.5 * broad, y, x + 0.5 * broad, y)
+        balls.append((*angles(x, y), broad, seen, k.sure))
+    first = balls[0][3]
+    rows.append(tuple(jnp.where(first, *pair) for pair in zip(*balls)))
 
-    # Landmarks: pairs of a pink band and another, one above the other and of a size.
-    pink = slice(int(_FIRST[colours.PINK]), int(_FIRST[colours.PINK]) + _LOOKED_AT[colours.PINK])
-    used = jnp.zeros(b.size.shape, bool)
+    # Landmarks: a pink band and another, one above the other and of a size.
+    pinks = largest(b, colours.PINK, _PINK)
+    p = Blobs(*(jnp.stack(leaf)[:, None] for leaf in zip(*pinks)))
+    gap = jnp.sqrt((p.x - b.x) ** 2 + (p.y - b.y) ** 2)
+    # The bands are as far apart as each is high, and that is as high as wide (0.1 m).
+    side = jnp.sqrt(jnp.minimum(p.size, b.size))
+    fit = (p.size > 0) & (b.size >= _SMALLEST) & (gap > 0.6 * side) & (gap < 1.6 * side)
+    fit &= jnp.maximum(p.size, b.size) < 2.2 * jnp.minimum(p.size, b.size)
+    quality = jnp.where(fit, jnp.minimum(p.sure, b.sure), 0.0)
+    band = jnp.zeros(b.size.shape, bool)
     for mark in field.landmarks:
         upper = colours.CLASSES.index(mark.upper) == colours.PINK
         other = colours.CLASSES.index(mark.lower if upper else mark.upper)
-        second = slice(int(_FIRST[other]), int(_FIRST[other]) + _LOOKED_AT[other])
-        p, q = (Blobs(*(leaf[part] for leaf in b)) for part in (pink, second))
-        p = Blobs(*(leaf[:, None] for leaf in p))
-        gap = jnp.hypot(p.x - q.x, p.y - q.y)
-        above = (q.y - p.y) if upper else (p.y - q.y)
-        # The bands are as far apart as each is high, and that is as high as wide (0.1 m).
-        side = jnp.sqrt(jnp.minimum(p.size, q.size))
-        fit = (p.size > 0) & (q.size > 0) & (above > 0.75 * gap)
-        fit &= (gap > 0.6 * side) & (gap < 1.6 * side)
-        fit &= jnp.maximum(p.size, q.size) < 2.2 * jnp.minimum(p.size, q.size)
-        quality = jnp.where(fit, jnp.minimum(p.sure, q.sure), 0.0)
-        best = jnp.argmax(quality)
-        i, j = best // quality.shape[1], best % quality.shape[1]
-        good = quality.ravel()[best]
-        seen = good > 0.5
-        px, py, qx, qy = p.x[i, 0], p.y[i, 0], q.x[j], q.y[j]
-        used = used.at[second.start + j].set(used[second.start + j] | seen)
+        above = (b.y - p.y) if upper else (p.y - b.y)
+        good = jnp.where((b.colour == other) & (above > 0.75 * gap), quality, 0.0)
+        best = jnp.argmax(good)
+        i, j = best // good.shape[1], best % good.shape[1]
+        sure = good.max()
+        seen = sure > 0.5
+        px, py, qx, qy = p.x[i, 0], p.y[i, 0], b.x[j], b.y[j]
+        band |= seen & (b.name == b.name[j])
         x, y = 0.5 * (px + qx), 0.5 * (py + qy)
-        rows.append((*angles(x, y), 2 * span(px, py, qx, qy), seen, good))
+        rows.append((*angles(x, y), 2 * span(px, py, qx, qy), seen, sure))
 
     # Goals: the largest of their colour that is no band; the free part is the widest run of it.
+    rest = b._replace(size=jnp.where(band, 0.0, b.size))
     free = []
     for colour in (team.own_goal, team.their_goal):
-        ends = []
-        for own in (colours.YELLOW, colours.SKYBLUE):
-            part = slice(int(_FIRST[own]), int(_FIRST[own]) + _LOOKED_AT[own])
-            size = jnp.where(used[part], 0.0, b.size[part])
-            g = part.start + jnp.argmax(size)
-            tall = b.y1[g] - b.y0[g]
-            seen = (size.max() > 60) & (b.sure[g] > 0.5)
-            x, y = 0.5 * (b.x0[g] + b.x1[g]), 0.5 * (b.y0[g] + b.y1[g])
-            first, last = _widest(b.columns[g])
-            bearings = jnp.arctan(jnp.stack([ray(last, y)[0], ray(first, y)[0]]))
-            row = (*angles(x, y), span(x, y - 0.5 * tall, x, y + 0.5 * tall), seen, b.sure[g])
-            ends.append((row, jnp.where(seen, bearings, 0.0)))
-        yellow = jnp.asarray(colour) == colours.YELLOW
-        row, bearings = jax.tree.map(partial(jnp.where, yellow), *ends)
-        rows.append(row)
-        free.append(bearings)
+        (g,) = largest(rest, colour, 1)
+        seen = (g.size > 60) & (g.sure > 0.5)
+        x, y = 0.5 * (g.x0 + g.x1), 0.5 * (g.y0 + g.y1)
+        tall = g.y1 - g.y0
+        rows.append((*angles(x, y), span(x, y - 0.5 * tall, x, y + 0.5 * tall), seen, g.sure))
+        own = (found.length > 0) & (found.label == g.name)
+        after = jnp.arange(width) - found.start[:, None]
+        covers = (own[:, None] & (after >= 0) & (after < found.length[:, None])).any(0)
+        first, last = _widest(covers)
+        ends = jnp.arctan(jnp.stack([ray(last, y)[0], ray(first, y)[0]]))
+        free.append(jnp.where(seen, ends, 0.0))
 
     # Robots: uniforms, largest first.
     for colour, number in ((team.mates, 2), (team.opponents, 3)):
-        red = jnp.asarray(colour) == colours.RED
-        for n in range(number):
-            u = jnp.where(red, _FIRST[colours.RED], _FIRST[colours.BLUE]) + n
-            seen = (b.size[u] >= 2 * _SMALLEST) & (b.sure[u] > 0.5)
-            x, y, wide = b.x[u], b.y[u], b.x1[u] - b.x0[u]
+        for u in largest(b, colour, number):
+            seen = (u.size >= 2 * _SMALLEST) & (u.sure > 0.5)
+            wide = u.x1 - u.x0
             # The uniform is 0.17 x 0.13 m, a robot about 0.22 m.
-            size = 1.4 * span(x - 0.5 * wide, y, x + 0.5 * wide, y)
-            rows.append((*angles(x, y), size, seen, b.sure[u]))
+            size = 1.4 * span(u.x - 0.5 * wide, u.y, u.x + 0.5 * wide, u.y)
+            rows.append((*angles(u.x, u.y), size, seen, u.sure))
 
     bearing, elevation, size, visible, confidence = (jnp.stack(leaf) for leaf in zip(*rows))
     assert len(rows) == len(SEEN)
+    visible &= readable
     bearing, elevation, size = (jnp.where(visible, v, 0.0) for v in (bearing, elevation, size))
     frame = Frame(bearing, elevation, size, visible)
     obstacle = _obstacles(classes, down)
-    return Sight(frame, jnp.where(visible, confidence, 0.0), jnp.stack(free), obstacle)
+    return Sight(
+        frame,
+        jnp.where(visible, confidence, 0.0),
+        jnp.where(readable, jnp.stack(free), 0.0),
+        jnp.where(readable, obstacle, 0.0),
+    )
 
 
 def _widest(columns: Bool[Array, " W"]) -> tuple[Array, Array]:
@@ -242,10 +233,12 @@ def _obstacles(classes: Int[Array, "H W"], down: float) -> Float[Array, "11"]:
     that is neither carpet nor line."""
     height, width = classes.shape
     floor = (classes == colours.GREEN) | (classes == colours.ORANGE)
-    white = (classes == colours.WHITE).astype(jnp.int32)
-    total = jnp.cumsum(jnp.pad(white, ((1 + _LINE, 0), (0, 0))), 0)
-    long = total[1 + _LINE :] - total[: -1 - _LINE] >= _LINE  # white and so all above it
-    blocked = ~floor & ((white == 0) | long)
+    white = classes == colours.WHITE
+    # White and so are the eight above it: two, four, eight, nine in a column.
+    long = white
+    for rows in (1, 2, 4, _LINE - 8):
+        long &= jnp.pad(long[:-rows], ((rows, 0), (0, 0)))
+    blocked = ~floor & (~white | long)
     row = jnp.where(blocked, jnp.arange(height)[:, None] + 1, 0).max(0)
     row = row.reshape(_SECTORS, width // _SECTORS).max(1)
     up = down * (1 - 2 * row.astype(jnp.float32) / height)
