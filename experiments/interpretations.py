@@ -161,7 +161,7 @@ def learn(reading: Reading, options: Options, world: Any) -> Result:
     env = reading.wrap(world.make(**reading.env))
     starts = world.suites["paper"](jax.random.key(0), 4)
     held_out = [evaluation.held_out_scenes(world, s, options.eval_scenes) for s in SUITES]
-    config = dataclasses.replace(reading.ga, horizon=float(options.generations))
+    config = reading.ga
 
     def drive(theta, scenes):
         return rollout_pairs(layout, theta, scenes, env, output=reading.output)
@@ -172,7 +172,7 @@ def learn(reading: Reading, options: Options, world: Any) -> Result:
         def step(state, _):
             theta = genome.decode(state.bits, config.num_bits)
             value = reading.fitness_fn(drive(theta, starts))
-            state, _ = ga.generation(state, lambda key, theta: value, config)
+            state, _ = ga.generation(state, lambda key, theta: value, config, options.generations)
             return state, (jnp.min(10 / value), jnp.sum(value <= 0))
 
         state, (least, lost) = jax.lax.scan(step, state, None, length=options.generations)

@@ -135,8 +135,7 @@ def genetic(config: ga.GAConfig, ranges: Any = None) -> Search:
         def fitness_fn(key, theta):
             return 10 / (0.1 + cost_fn(theta, draw(key)))
 
-        now = dataclasses.replace(config, horizon=float(iterations))
-        state, record = ga.generation(state, fitness_fn, now)
+        state, record = ga.generation(state, fitness_fn, config, iterations)
         return state, genome.decode(record.best_bits, config.num_bits, config.gray)
 
     return Search(

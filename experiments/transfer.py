@@ -112,7 +112,7 @@ def evolve(
 
     @jax.jit
     def advance(state, env):
-        return ga.generation(state, partial(fitness_fn, env=env), config)
+        return ga.generation(state, partial(fitness_fn, env=env), config, generations)
 
     state = ga.init(jax.random.key(seed), layout.num_genes, config)
     if bits is not None:

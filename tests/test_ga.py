@@ -182,7 +182,7 @@ def test_against_a_plain_genetic_algorithm_of_the_same_draws(selection):
         return np.asarray(fitness_fn(key, genome.decode(np.asarray(bits, bool), 4)))
 
     state = ga.init(jax.random.key(5), 3, c)
-    step = jax.jit(lambda s: ga.generation(s, fitness_fn, c))
+    step = jax.jit(lambda s: ga.generation(s, fitness_fn, c, 4))
     bits = np.asarray(state.bits).astype(int).tolist()
     nonfinite = 0
     for number in range(4):
@@ -205,10 +205,14 @@ def sphere(key, theta):
     return 1 / (0.01 + jnp.sum((theta - 1.5) ** 2, axis=1))
 
 
+def evolve(state, fitness_fn, c, num):
+    step = lambda s, _: ga.generation(s, fitness_fn, c, num)  # noqa: E731
+    return jax.lax.scan(step, state, None, length=num)
+
+
 def run(fitness_fn, c, genes, generations, key=0):
     state = ga.init(jax.random.key(key), genes, c)
-    evolve = jax.jit(partial(ga.evolve, num_generations=generations, fitness_fn=fitness_fn))
-    state, record = evolve(state, config=c)
+    state, record = jax.jit(lambda s, c: evolve(s, fitness_fn, c, generations))(state, c)
     state = state._replace(key=jax.random.key_data(state.key))
     return jax.tree.map(np.asarray, (state, record))
 
@@ -279,20 +283,29 @@ def test_floats_do_not_compile_twice():
     traces = []
 
     @jax.jit
-    def evolve(state, c):
+    def two(state, c):
         traces.append(1)
-        return ga.evolve(state, 2, ones, c)
+        return evolve(state, ones, c, 2)
 
     kinds = {"mutation_rate": 0.1, "crossover_rate": 0.3, "num_elites": 4, "rank_pressure": 1.1}
     base = config(num_bits=1, selection="rank")
     state = ga.init(jax.random.key(0), 12, base)
-    results = [evolve(state, base)[0].bits]
+    results = [two(state, base)[0].bits]
     for name, value in kinds.items():
-        results.append(evolve(state, config(num_bits=1, selection="rank", **{name: value}))[0].bits)
+        results.append(two(state, config(num_bits=1, selection="rank", **{name: value}))[0].bits)
     assert len(traces) == 1
     assert any((results[0] != other).any() for other in results[1:])
-    evolve(state, config(num_bits=1, selection="sus"))
+    two(state, config(num_bits=1, selection="sus"))
     assert len(traces) == 2  # a static field does
+
+
+def test_the_second_generation_does_not_compile():
+    c = config(num_bits=1)
+    step = jax.jit(lambda s: ga.generation(s, ones, c, 3)[0])
+    state = ga.init(jax.random.key(0), 12, c)
+    for _ in range(3):
+        state = step(state)
+    assert step._cache_size() == 1
 
 
 SEEDS = """

@@ -89,6 +89,13 @@ def test_rule_tables_of_reduced_and_symmetric_layouts(layout):
         assert params.bias[1] == 0
 
 
+def whole(table):
+    """Three where the structure says that they are one."""
+    if isinstance(table[0], tuple):
+        return tuple(whole(x) for x in table)
+    return 3 * table if len(table) == 1 else table
+
+
 @each_layout
 def test_expand_scalars_is_expand(layout):
     theta = random_thetas(layout, 3).astype(np.float32)
@@ -97,7 +104,7 @@ def test_expand_scalars_is_expand(layout):
         scalars = expand_scalars(layout, theta[n])
         for name in Params._fields:
             np.testing.assert_array_equal(
-                np.asarray(getattr(scalars, name)), getattr(arrays, name)[n], err_msg=name
+                np.asarray(whole(getattr(scalars, name))), getattr(arrays, name)[n], err_msg=name
             )
 
 

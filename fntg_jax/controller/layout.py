@@ -24,6 +24,9 @@ class Params(NamedTuple):
     a_*, c_*: slope (1/m or 1/rad) and centre (m or rad) of the sigmoids A_i(d_B), B_j(d_O),
     C_k(theta_B), shape [2]; sigma: rad, shape [3], D_1 "left", D_2 "right", D_3 "not
     influencing"; V, Omega: rule constants [2, 2, 2, 3] indexed i, j, k, l; bias: b_21, b_22.
+
+    In nested tuples (`expand_scalars`) sigma, and V and Omega along l, have length 1 where all
+    three share one gene: the structure says which form of an equation applies.
     """
 
     # Arrays, or nested tuples of scalars (`expand_scalars`); leading batch axes are allowed.
@@ -115,7 +118,7 @@ def expand(layout: Layout, theta: Float[Array, "*batch genes"]) -> Params:
 
 
 def expand_scalars(layout: Layout, theta: Float[Array, " genes"]) -> Params:
-    """`expand` for one theta, as nested tuples of scalars in which slots share their gene.
+    """`expand` for one theta, as nested tuples of scalars, one where three slots share a gene.
 
     For loops under `vmap`: every scalar becomes one contiguous vector over the batch (slices
     of a [batch, 2, 2, 2, 3] table would be strided, several times slower on CPU), and what
@@ -132,9 +135,11 @@ def expand_scalars(layout: Layout, theta: Float[Array, " genes"]) -> Params:
     slots = iter(zip(layout.index, layout.sign))
 
     def fill(shape):
-        if shape:
+        if len(shape) > 1:
             return tuple(fill(shape[1:]) for _ in range(shape[0]))
-        return values[next(slots)]
+        own = [next(slots) for _ in range(shape[0])]
+        shared = len(own) == 3 and len(set(own)) == 1
+        return tuple(values[slot] for slot in (own[:1] if shared else own))
 
     return Params(*(fill(shape) for shape in SHAPES))
 

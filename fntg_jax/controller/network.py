@@ -62,11 +62,11 @@ def obstacle_side(theta: Scalar, sigma: Any) -> tuple[Scalar, Scalar, Scalar]:
 
     Args:
         theta: theta_O, rad, > 0 on the left.
-        sigma: [3], rad, sign irrelevant, below 1e-5 rad taken as 1e-5 rad.
+        sigma: [3], or [1] where the labels share it, rad, sign irrelevant, below 1e-5 rad taken
+            as 1e-5 rad.
     """
-    g1 = _bell(theta, sigma[0])
-    g2 = g1 if sigma[1] is sigma[0] else _bell(theta, sigma[1])
-    g3 = g1 if sigma[2] is sigma[0] else _bell(theta, sigma[2])
+    bells = [_bell(theta, width) for width in sigma]
+    g1, g2, g3 = bells if len(bells) == 3 else 3 * bells
     zero = jnp.zeros_like(g1)
     left = theta > 0
     return jnp.where(left, g1, zero), jnp.where(left, zero, g2), 1 - g3
@@ -84,10 +84,10 @@ def obstacle_side_shares(theta: Scalar, sigma: Any) -> tuple[Scalar, Scalar, Sca
 
     Args:
         theta: theta_O, rad, > 0 on the left.
-        sigma: [3], rad.
+        sigma: as of `obstacle_side`.
     """
     d1, d2, d3 = obstacle_side(theta, sigma)
-    if sigma[0] is sigma[1] is sigma[2]:
+    if len(sigma) == 1:
         return d1, d2, d3  # they sum to 1
     # A floor, not a summand: compilers reorder (1 - g) + 1e-16 into 0.  Acts only where the sum
     # could be 0; the square of 1e-16 is still a float32.
@@ -139,9 +139,9 @@ def weighted_averages(params: Params, observation: Any) -> tuple[Scalar, Scalar]
 
     def average(f):
         def over_d(i, j, k):
-            left, right, neither = f[i][j][k][0], f[i][j][k][1], f[i][j][k][2]
-            if left is right is neither:
-                return neither  # far, in layouts of 16 rules
+            if len(f[i][j][k]) == 1:  # far, in layouts of 16 rules
+                return f[i][j][k][0]
+            left, right, neither = f[i][j][k]
             # Differences of genes leave the loop over control steps.
             return neither + d1 * (left - neither) + d2 * (right - neither)
 

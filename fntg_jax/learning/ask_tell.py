@@ -39,20 +39,35 @@ class State(NamedTuple):
 class GeneticAlgorithm:
     """`ga.reproduce` as ask and tell.
 
-    population_size: even.  solution: any pytree of the shape of one individual.  config: settings
-    of the algorithm; its population is population_size.  Genes live in [-5, 5] on a grid of
-    config.num_bits bits: what is told is clipped and rounded to it, what is asked for lies on it.
+    Args:
+        population_size: individuals, even.
+        solution: any pytree of the shape of one individual.
+        config: settings of the algorithm; its population is population_size.
+        horizon: generations that config.mutation_decay refers to, > 0.
+
+    Genes live in [-5, 5] on a grid of config.num_bits bits: what is told is clipped and rounded to
+    it, what is asked for lies on it.
 
     Fitness that is minimised can have any sign, and selection wants weights from 0: it sees the
     worst finite fitness of the population minus the individual's.  Only roulette and sus depend on
     more than the order.  Raises ValueError naming the field of the configuration.
+
+    As evosax's, the methods are compiled for the object itself (a static argument, compared by
+    identity): nothing that they read of it may be changed after it is made.
     """
 
-    def __init__(self, population_size: int, solution: Any, config: GAConfig = GAConfig()):
+    def __init__(
+        self,
+        population_size: int,
+        solution: Any,
+        config: GAConfig = GAConfig(),
+        horizon: float = 95.0,
+    ):
         self.default_params = dataclasses.replace(config, population=population_size)
         ga.validate(self.default_params)
         flat, self._unravel = ravel_pytree(solution)
         self.population_size = population_size
+        self.horizon = horizon
         self.num_dims = flat.size
 
     @partial(jax.jit, static_argnums=0)
@@ -77,7 +92,7 @@ class GeneticAlgorithm:
         finite = jnp.isfinite(state.fitness)
         worst = jnp.max(jnp.where(finite, state.fitness, -jnp.inf), initial=-jnp.inf)
         weight = jnp.where(finite, worst - state.fitness, 0)
-        progress = state.generation_counter / params.horizon
+        progress = state.generation_counter / self.horizon
         bits = ga.reproduce(key, state.bits, weight, params, progress)
         return self._solutions(bits, params), state
 

@@ -1,8 +1,9 @@
-"""The genetic algorithm, wholly on-device: small pure operators, `generation`, `evolve`.
+"""The genetic algorithm, wholly on-device: small pure operators and `generation`.
 
 Fitness is maximised.  Keys go in and never come out: generation n uses fold_in(key, n), so
-that a run resumes from (bits, key, n) alone.  Every float of the configuration is traced: two
-settings that differ only in floats share one compilation, and a sweep over them is one vmap.
+that a run resumes from (bits, key, n) alone.  Every float of the configuration, and num_elites, is
+traced: two settings that differ only in those share one compilation, and a sweep over them is one
+vmap.
 """
 
 import dataclasses
@@ -45,7 +46,6 @@ class GAConfig:
         num_elites: best genomes copied unchanged, of each island.
         rank_pressure: expected copies of the best under rank selection, 1 to 2.
         truncation_share: share of the population that breeds under truncation.
-        horizon: generations that the decay refers to; the runner sets it.
     """
 
     population: int = _static(60)
@@ -61,7 +61,6 @@ class GAConfig:
     num_elites: int = 1
     rank_pressure: float = 1.8
     truncation_share: float = 0.5
-    horizon: float = 95.0
 
 
 def validate(config: GAConfig) -> None:
@@ -285,7 +284,7 @@ def init(
         key=k_run,
         generation=jnp.zeros((), int),
         best_bits=jnp.zeros((length,), bool),
-        best_fitness=jnp.asarray(-jnp.inf),
+        best_fitness=jnp.asarray(-jnp.inf, jnp.float32),  # not weak: a second call compiles nothing
     )
 
 
@@ -332,19 +331,22 @@ def _breed(key, bits, fitness, config, rate):
     return jnp.where(jnp.arange(size)[:, None] < config.num_elites, by_rank, children)
 
 
-def generation(state: State, fitness_fn: FitnessFn, config: GAConfig) -> tuple[State, Record]:
+def generation(
+    state: State, fitness_fn: FitnessFn, config: GAConfig, horizon: float | Array
+) -> tuple[State, Record]:
     """Evaluate the population, then `advance`.
 
     Args:
         state: of the run.
         fitness_fn: (key, theta [P, genes]) -> fitness [P], maximised.
         config: genetic algorithm.
+        horizon: generations that `config.mutation_decay` refers to, > 0.
 
     Returns:
         The state one generation later, and the record of this one.
     """
     theta = genome.decode(state.bits, config.num_bits, config.gray)
-    return advance(state, fitness_fn(fitness_key(state), theta), config)
+    return advance(state, fitness_fn(fitness_key(state), theta), config, horizon)
 
 
 def fitness_key(state: State) -> Key[Array, ""]:
@@ -352,7 +354,9 @@ def fitness_key(state: State) -> Key[Array, ""]:
     return jax.random.split(jax.random.fold_in(state.key, state.generation))[0]
 
 
-def advance(state: State, raw: Float[Array, " P"], config: GAConfig) -> tuple[State, Record]:
+def advance(
+    state: State, raw: Float[Array, " P"], config: GAConfig, horizon: float | Array
+) -> tuple[State, Record]:
     """Record a population, breed the next.
 
     Args:
@@ -360,6 +364,7 @@ def advance(state: State, raw: Float[Array, " P"], config: GAConfig) -> tuple[St
         raw: fitness of its population, maximised.  What is not finite counts as 0, is never best,
             and is counted.
         config: genetic algorithm.
+        horizon: as of `generation`.
 
     Returns:
         The state one generation later, and the record of this one.
@@ -377,7 +382,7 @@ def advance(state: State, raw: Float[Array, " P"], config: GAConfig) -> tuple[St
         best_bits=state.bits[champion],
     )
     new = State(
-        bits=reproduce(k_reproduce, state.bits, fitness, config, state.generation / config.horizon),
+        bits=reproduce(k_reproduce, state.bits, fitness, config, state.generation / horizon),
         key=state.key,
         generation=state.generation + 1,
         best_bits=jnp.where(better, state.bits[champion], state.best_bits),
@@ -385,22 +390,3 @@ def advance(state: State, raw: Float[Array, " P"], config: GAConfig) -> tuple[St
         memory=state.memory,
     )
     return new, record
-
-
-def evolve(
-    state: State, num_generations: int, fitness_fn: FitnessFn, config: GAConfig
-) -> tuple[State, Record]:
-    """`generation` num_generations times under one scan.
-
-    Args:
-        state: of the run.
-        num_generations: how many.
-        fitness_fn: (key, theta [P, genes]) -> fitness [P], maximised.
-        config: genetic algorithm.
-
-    Returns:
-        The state after them, and records with a leading axis [num_generations].
-    """
-    return jax.lax.scan(
-        lambda s, _: generation(s, fitness_fn, config), state, None, length=num_generations
-    )

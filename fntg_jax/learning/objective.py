@@ -33,6 +33,7 @@ class Traced(NamedTuple):
     fitness: PaperWeights
     smooth: SmoothWeights
     scenes: Any
+    horizon: Any = 1.0  # generations that the decay of the mutation rate refers to
 
 
 def bioa(static: Static, traced: Traced) -> Task:

@@ -47,8 +47,8 @@ class Problem(NamedTuple):
     def traced(self) -> Traced:
         """What may change without compiling again, as NumPy; scenes come later."""
         c = self.config
-        horizon = dataclasses.replace(c.ga, horizon=float(c.generations))
-        return jax.tree.map(np.asarray, Traced(horizon, self.env, c.fitness, c.smooth, None))
+        found = Traced(c.ga, self.env, c.fitness, c.smooth, None, float(c.generations))
+        return jax.tree.map(np.asarray, found)
 
     def task_of(self, traced: Traced) -> Task:
         """The task, also inside a compiled program."""

@@ -200,9 +200,9 @@ def _advance(state, floats, scenes, num, *, mesh, problem):
         def body(n, carry):
             state = carry[0]
             theta = problem.in_units(genome.decode(state.bits, coding.num_bits, coding.gray))
-            progress = state.generation / jnp.maximum(traced.ga.horizon - 1, 1)
+            progress = state.generation / jnp.maximum(traced.horizon - 1, 1)
             raw, memory = task.fitness(ga.fitness_key(state), theta, state.memory, progress)
-            new, record = ga.advance(state._replace(memory=memory), raw, traced.ga)
+            new, record = ga.advance(state._replace(memory=memory), raw, traced.ga, traced.horizon)
             return new, jax.tree.map(lambda xs, x: xs.at[n].set(x), carry[1], record)
 
         zeros = jnp.zeros(_MAX_CHUNK)

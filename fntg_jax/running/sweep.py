@@ -74,7 +74,6 @@ def _kind(name: str) -> type:
     base = TrainConfig()
     known = [f.name for f in dataclasses.fields(TrainConfig) if f.name not in (*_FIXED, *_GROUPS)]
     known += [f"{g}.{f.name}" for g in _GROUPS for f in dataclasses.fields(getattr(base, g))]
-    known.remove("ga.horizon")
     if name not in known:
         near = [n for n in known if n.rpartition(".")[2] == field] or [*known, "env.OPTION"]
         raise ValueError(f"axis {name!r}: known are {', '.join(near)}")
