@@ -27,7 +27,7 @@ from experiments import script
 from fntg_jax import export
 from fntg_jax.controller.layout import HIGH, LOW, get_layout
 from fntg_jax.files import write_atomically
-from fntg_jax.learning import gradient
+from fntg_jax.learning import gradient, objective
 from fntg_jax.running import controllers, evaluation, registry, runner, settings, xla
 from fntg_jax.running.settings import TrainConfig
 from fntg_jax.showing import plots
@@ -124,7 +124,9 @@ def descended(options: Options) -> Iterator[tuple[int, float, export.Controller]
     config = settings.PRESETS["robust"]
     world, layout = registry.get_world(config.env), get_layout(config.layout)
     env, suite = world.make(**config.env_options), registry.get_suite(world, config.suite)
-    problem = gradient.smooth_problem(layout, env, suite, config.num_scenes, config.output)
+    problem = objective.smooth_descent(
+        layout, env, suite, config.num_scenes, config.output, checkpoint=True
+    )
     optimiser = gradient.optimiser("adam", options.gradient_steps, 0.03)
 
     @partial(jax.jit, compiler_options=xla.GRADIENT_OPTIONS)

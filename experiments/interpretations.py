@@ -75,8 +75,8 @@ def signed_v_fitness(outcome: Any) -> Any:
     weights = PaperWeights()
     speed = jnp.mean(jnp.abs(outcome.v), axis=(-2, -1))
     signed = jnp.mean(outcome.v, axis=(-2, -1))
-    cost = 10 / paper_fitness(outcome, weights)
-    return 10 / (cost + weights.v * (signed - speed))
+    cost = fitness.to_cost(paper_fitness(outcome, weights), 0)
+    return fitness.from_cost(cost + weights.v * (signed - speed), 0)
 
 
 def at_once_fitness(outcome: Any) -> Any:
@@ -173,7 +173,7 @@ def learn(reading: Reading, options: Options, world: Any) -> Result:
             theta = genome.decode(state.bits, config.num_bits)
             value = reading.fitness_fn(drive(theta, starts))
             state, _ = ga.generation(state, lambda key, theta: value, config, options.generations)
-            return state, (jnp.min(10 / value), jnp.sum(value <= 0))
+            return state, (jnp.min(fitness.to_cost(value, 0)), jnp.sum(value <= 0))
 
         state, (least, lost) = jax.lax.scan(step, state, None, length=options.generations)
         theta = genome.decode(state.best_bits, config.num_bits)

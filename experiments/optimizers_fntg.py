@@ -24,13 +24,12 @@ from fntg_jax.controller.network import Output
 from fntg_jax.learning import cma, fitness, ga, gradient
 from fntg_jax.learning.fitness import PaperWeights, SmoothWeights
 from fntg_jax.learning.objective import Static, Traced, draw_scenes, score
-from fntg_jax.learning.rollout import rollout_pairs
+from fntg_jax.learning.rollout import EPISODE_STEPS, rollout_pairs
 from fntg_jax.running import evaluation, xla
 from fntg_jax.running.registry import get_suite, get_world
 from fntg_jax.running.settings import PRESETS
 
 SUITES = ("open", "blocked")
-STEPS = 220  # control steps a trial
 _CHAMPIONS = 16
 _VALIDATION = 1024  # scenes
 _MIX = "open:2,blocked:3"  # training scenes, of the suites that are judged on
@@ -133,7 +132,7 @@ def genetic(config: ga.GAConfig, ranges: Any = None) -> Search:
         del key  # it draws its own, and decay goes by generation / horizon
 
         def fitness_fn(key, theta):
-            return 10 / (0.1 + cost_fn(theta, draw(key)))
+            return fitness.from_cost(cost_fn(theta, draw(key)))
 
         state, record = ga.generation(state, fitness_fn, config, iterations)
         return state, genome.decode(record.best_bits, config.num_bits, config.gray)
@@ -142,7 +141,7 @@ def genetic(config: ga.GAConfig, ranges: Any = None) -> Search:
         start,
         iterate,
         lambda state: jnp.zeros((0, _GENES)),
-        lambda n: config.population * n * STEPS,
+        lambda n: config.population * n * EPISODE_STEPS,
     )
 
 
@@ -178,7 +177,11 @@ def gradients(num_starts: int, rate: float) -> Search:
         return (new, moments), theta[jnp.argmin(value)]
 
     return Search(
-        start, iterate, lambda s: s[0], lambda n: 3 * num_starts * n * STEPS, xla.GRADIENT_OPTIONS
+        start,
+        iterate,
+        lambda s: s[0],
+        lambda n: 3 * num_starts * n * EPISODE_STEPS,
+        xla.GRADIENT_OPTIONS,
     )
 
 
@@ -204,7 +207,7 @@ def covariance(sigma: float, population: int = 48, batches: int = 2) -> Search:
         start,
         iterate,
         lambda state: cma.inside(state[0].mean)[None],
-        lambda n: population * batches * n * STEPS,
+        lambda n: population * batches * n * EPISODE_STEPS,
     )
 
 
@@ -232,7 +235,7 @@ def evosax_search(algorithm: Any, params: Any, population: int, distribution: bo
             return jnp.zeros((0, _GENES))
         return jnp.clip(algorithm.get_mean(state), LOW, HIGH)[None]
 
-    return Search(start, iterate, mean, lambda n: population * n * STEPS)
+    return Search(start, iterate, mean, lambda n: population * n * EPISODE_STEPS)
 
 
 def searches() -> dict[str, list[tuple[Search, float]]]:
@@ -314,7 +317,7 @@ def _compiled(name, phase, search, task, num, length, state):
 
 def _block(state, key, first, traced, *, search, task, num, length):
     def cost_fn(theta, scenes, **options):
-        return 10 / score(task.static, traced, theta, scenes, **options) - 0.1
+        return fitness.to_cost(score(task.static, traced, theta, scenes, **options))
 
     def iterate(state, n):
         draw = partial(draw_scenes, task.static, traced)

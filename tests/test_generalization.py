@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from experiments import generalization
-from fntg_jax.learning import gradient
+from fntg_jax.learning import objective
 from fntg_jax.running import evaluation, problem, runner, settings
 from tests.controllers import random_controller
 
@@ -68,9 +68,9 @@ def test_the_script(tmp_path, monkeypatch, capsys):
         lambda config, seeds: ((s, 1.0, random_controller(seed=s)) for s in range(seeds)),
     )
     monkeypatch.setattr(
-        gradient,
-        "smooth_problem",
-        lambda *options: gradient.Problem(
+        objective,
+        "smooth_descent",
+        lambda *options, **more: objective.Descent(
             lambda theta, scenes: (theta**2).sum(axis=-1) + 0 * scenes.sum(),
             lambda key: np.zeros(2),
             np.zeros(2),

@@ -13,7 +13,7 @@ from envs import kinematic, mix, scenes
 from fntg_jax import export, shipped
 from fntg_jax.commands import cli
 from fntg_jax.controller.layout import LAYOUTS, expand_scalars
-from fntg_jax.learning import gradient
+from fntg_jax.learning import gradient, objective
 from fntg_jax.learning.rollout import trajectory
 from fntg_jax.running import xla
 from tests.controllers import built_controller, random_controller
@@ -137,7 +137,7 @@ def test_the_gradient_is_that_of_difference_quotients_away_from_jumps():
     with jax.enable_x64(True):
         as_double = lambda x: jnp.asarray(x, jnp.float64 if x.dtype == np.float32 else x.dtype)  # noqa: E731
         drawn = jax.tree.map(lambda x: as_double(x)[:, None], drawn)  # a batch of one each
-        batched = gradient.smooth_problem(layout, env, scenes.paper, 1).cost_fn
+        batched = objective.smooth_descent(layout, env, scenes.paper, 1, checkpoint=True).cost_fn
         cost_fn = lambda theta, scenes: batched(theta[None], scenes)[0]  # noqa: E731
         slope = jax.jit(jax.vmap(jax.vmap(jax.grad(cost_fn), (None, 0)), (0, None)))
         found = np.asarray(slope(jnp.asarray(thetas), drawn))  # [P, T, genes]
@@ -189,11 +189,11 @@ def command(monkeypatch, tmp_path, capsys):
 def bowl_problem(monkeypatch):
     """Scenes are numbers; the least cost is where all genes are 1."""
 
-    def problem(layout, env, suite, num_scenes, output, seed):
+    def problem(layout, env, suite, num_scenes, output, seed, checkpoint):
         cost = lambda theta, scenes: jnp.mean((theta - 1) ** 2, axis=-1) + 0 * jnp.sum(scenes)  # noqa: E731
-        return gradient.Problem(cost, lambda key: jnp.zeros(num_scenes), jnp.zeros(5))
+        return objective.Descent(cost, lambda key: jnp.zeros(num_scenes), jnp.zeros(5))
 
-    monkeypatch.setattr(gradient, "smooth_problem", problem)
+    monkeypatch.setattr(objective, "smooth_descent", problem)
     monkeypatch.setattr("fntg_jax.running.evaluation.held_out_suites", lambda world: ["open"])
 
 

@@ -63,7 +63,7 @@ def main(argv: list[str]) -> None:
     import numpy as np
 
     from fntg_jax import export
-    from fntg_jax.learning import cma, gradient
+    from fntg_jax.learning import cma, gradient, objective
     from fntg_jax.running import evaluation
 
     controller = load_controller(options.controller)
@@ -72,8 +72,15 @@ def main(argv: list[str]) -> None:
     optimiser = gradient.optimiser(options.optimizer, options.steps, options.rate)
     by_gradient = options.method == "gradient"
     env = evaluation.environment_for(controller, world, **options.env_options)
-    problem = gradient.smooth_problem(
-        controller.layout, env, suite, options.scenes, controller.output, options.seed
+    # Checkpointed: reverse mode then stores one state a control step.
+    problem = objective.smooth_descent(
+        controller.layout,
+        env,
+        suite,
+        options.scenes,
+        controller.output,
+        options.seed,
+        checkpoint=by_gradient,
     )
     say(
         f"{options.steps} steps of {options.optimizer if by_gradient else 'CMA-ES'} on "
@@ -118,11 +125,13 @@ def _refined(controller: Any, refined: Any, options: RefineOptions) -> Any:
     """The controller with its new genes, and in its provenance how it came by them."""
     import numpy as np
 
+    from fntg_jax.learning.fitness import from_cost
+
     provenance = {
         **{k: v for k, v in controller.provenance.items() if not k.startswith("refine_")},
         "env": options.env,
         "objective": "smooth",
-        "fitness": 10 / (0.1 + float(refined.cost)),  # as `fitness.smooth_fitness`
+        "fitness": from_cost(float(refined.cost)),
         "refine_method": options.method,
         "refine_steps": options.steps,
         **(

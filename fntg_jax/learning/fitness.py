@@ -4,7 +4,7 @@ Floats of the weights are traced: a sweep over them is one vmap.
 """
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,27 @@ from fntg_jax.learning.rollout import Outcome
 CLEARANCE = 0.145  # m, paper: "the minimal allowed distance between the robot and the obstacle"
 REACH = 0.10  # m, success: nearer than this after step 200
 STOP = 0.03  # m/s, success: slower than this, averaged over steps 170, 200, 220
+GAMMA = 0.1  # of the smooth objective, so that F is at most 100
+
+
+def from_cost(cost: Any, gamma: Any = GAMMA) -> Any:
+    """F = 10 / (gamma + cost), the paper's form: what is maximised, from what is minimised.
+
+    Args:
+        cost: >= 0, of any shape.
+        gamma: > 0 where the cost can be 0.
+    """
+    return 10 / (gamma + cost)
+
+
+def to_cost(value: Any, gamma: Any = GAMMA) -> Any:
+    """The inverse of `from_cost`.
+
+    Args:
+        value: fitness F > 0, of any shape.
+        gamma: as there; with 0, all that stands under the fraction line.
+    """
+    return 10 / value - gamma
 
 
 @jax.tree_util.register_dataclass
@@ -168,7 +189,7 @@ def smooth_cost(outcome: Outcome, weights: SmoothWeights = SmoothWeights()) -> F
 def smooth_fitness(
     outcome: Outcome, weights: SmoothWeights = SmoothWeights()
 ) -> Float[Array, " P"]:
-    """10 / (0.1 + mean `smooth_cost` over the trials): of the paper's form, at most 100.
+    """`from_cost` of the mean `smooth_cost` over the trials: at most 100.
 
     Args:
         outcome: of T trials a genome, leaves [..., T, 3] and [..., T].
@@ -177,4 +198,4 @@ def smooth_fitness(
     Returns:
         Fitness [...], maximised.
     """
-    return 10 / (0.1 + jnp.mean(smooth_cost(outcome, weights), axis=-1))
+    return from_cost(jnp.mean(smooth_cost(outcome, weights), axis=-1))

@@ -26,10 +26,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, Key
 
-from fntg_jax.controller import network
-from fntg_jax.controller.layout import HIGH, LOW, Layout
-from fntg_jax.learning import fitness
-from fntg_jax.learning.rollout import rollout_pairs
+from fntg_jax.controller.layout import HIGH, LOW
 
 # (theta [P, genes], scenes) -> mean cost of each, differentiable.
 CostFn = Callable[[Float[Array, "P genes"], Any], Float[Array, " P"]]
@@ -46,52 +43,21 @@ class Refined(NamedTuple):
     num_skipped: Int[Array, " P"]
 
 
-class Problem(NamedTuple):
-    """What `refine` descends on: cost_fn, draw and validation are its arguments."""
-
-    cost_fn: CostFn
-    draw: Callable[[Key[Array, ""]], Any]
-    validation: Any
-
-
-# Scenes of refinement: apart from those of evolution and of evaluation, which use other keys.
-_KEY = 0x4EF1
-_POOL, _VALIDATION = 16384, 2048
-
-
-def smooth_problem(
-    layout: Layout,
-    env: Any,
-    suite: Callable[..., Any],
-    num_scenes: int,
-    output: network.Output = "scale",
-    seed: int = 0,
-) -> Problem:
-    """The mean `fitness.smooth_cost` over num_scenes training scenes a step, taken from a pool of
-    16384; validation on 2048 others.  suite: (key, num_scenes) -> scenes."""
-    keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), _KEY))
-    pool = suite(keys[0], _POOL)
-
-    def cost_fn(theta, scenes):
-        # Checkpointed: reverse mode then stores one state a control step.
-        outcome = rollout_pairs(layout, theta, scenes, env, output=output, checkpoint=True)
-        return jnp.mean(fitness.smooth_cost(outcome), axis=-1)
-
-    def draw(key):
-        pick = jax.random.randint(key, (num_scenes,), 0, _POOL)
-        return jax.tree.map(lambda x: x[pick], pool)
-
-    return Problem(cost_fn, draw, suite(keys[1], _VALIDATION))
-
-
 # adam: refinements are short, so its second moment forgets sooner than by default.
 _ARGUMENTS = {"adam": {"b2": 0.99}}
 
 
 def optimiser(name: str, num_steps: int, rate: float) -> optax.GradientTransformation:
-    """The optax optimiser of that name, behind clipped gradients, with its learning rate (genes
-    a step, for adam and its kin) falling along a cosine to 5 %.  Raises ValueError where optax
-    has none that works from a learning rate and gradients alone."""
+    """The optax optimiser of that name behind clipped gradients (norm 1), its learning rate falling
+    along a cosine to 5 %.
+
+    Args:
+        name: in optax: adam, sgd, rmsprop, lion, ...
+        num_steps: steps that the rate falls over.
+        rate: learning rate at the start; genes a step, for adam and its kin.
+
+    Raises ValueError where optax has none that works from a learning rate and gradients alone.
+    """
     schedule = optax.cosine_decay_schedule(rate, num_steps, alpha=0.05)
     try:
         make = getattr(optax, name)
@@ -120,12 +86,22 @@ def refine(
     num_steps: int,
     validate_every: int = 10,
 ) -> Refined:
-    """Descend from each theta for num_steps; return the best validated iterates.
+    """Descend from each theta; return the best validated iterates.
 
-    optimiser: any of optax that works from gradients, with clipping where it is wanted.
-    draw: key -> a batch of training scenes, the same for all individuals.  validation: scenes
-    for the choice of the iterate.  Genes are projected to [-5, 5] after every step.  Compile with
-    `xla.GRADIENT_OPTIONS`, which makes it three to four times as fast on CPU.
+    Compile with `xla.GRADIENT_OPTIONS`, which makes it three to four times as fast on CPU.
+
+    Args:
+        key: random key, of the scenes.
+        theta: [P, genes], where to start; projected to [-5, 5] after every step.
+        cost_fn: (theta [P, genes], scenes) -> mean cost [P], differentiable.
+        draw: key -> a batch of training scenes, the same for all individuals.
+        validation: scenes for the choice of the iterate.
+        optimiser: any of optax that works from gradients, with clipping where it is wanted.
+        num_steps: how many.
+        validate_every: steps between two validations.
+
+    Returns:
+        What each individual came to, never worse on `validation` than its start.
     """
 
     def step(carry, n):

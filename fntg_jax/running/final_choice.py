@@ -10,7 +10,8 @@ import numpy as np
 
 from fntg_jax.controller import genome
 from fntg_jax.learning import cma, ga
-from fntg_jax.learning.objective import Static, Traced, draw_scenes, score
+from fntg_jax.learning.fitness import from_cost, to_cost
+from fntg_jax.learning.objective import Static, Traced, descent, score
 from fntg_jax.running import xla
 from fntg_jax.running.parallel import GENOME, Rows, over_seeds
 from fntg_jax.running.problem import Problem
@@ -75,8 +76,9 @@ def conclude(evolved: Evolved, show: Callable[[int, int, float], None]) -> Resul
         bits = rows.gather(evolved.state.bits)[np.arange(rows.num), row]
         return Result(theta[:, 0], fitness[:, 0], bits, None)
     refine = {"gradient": _gradient, "cma": _cma}[config.refine_method]
-    theta, cost, history = refine(evolved, theta, 10 / value, show)
-    return Result(theta, 10 / cost, None, 10 / history)
+    # Costs with gamma: for their order it does not matter.
+    theta, cost, history = refine(evolved, theta, to_cost(value, 0), show)
+    return Result(theta, from_cost(cost, 0), None, from_cost(history, 0))
 
 
 def _judged(evolved: Evolved, judge: Any) -> Result:
@@ -151,17 +153,11 @@ def _gradient(evolved: Evolved, theta, cost, show):
     def one_seed(shared, key, seed_floats, theta):
         scenes, validation = shared
         traced = seed_floats._replace(scenes=scenes)
-
-        def cost_fn(theta, some):
-            # Checkpointed: reverse mode then stores one state a control step.
-            return 10 / score(static, traced, theta, some, checkpoint=True)
-
         found = gradient.refine(
             jax.random.fold_in(key, config.generations),
             theta,
-            cost_fn,
-            lambda k: draw_scenes(static, traced, k),
-            validation,
+            # Checkpointed: reverse mode then stores one state a control step.
+            *descent(static, traced, validation, 0, checkpoint=True),
             gradient.optimiser("adam", config.refine_steps, config.refine_rate),
             config.refine_steps,
         )
@@ -172,7 +168,7 @@ def _gradient(evolved: Evolved, theta, cost, show):
     arguments = (evolved.scenes, evolved.validation), own
     found = rows.compile(program, arguments)(*arguments)
     theta, cost, history = rows.gather(found[:3])
-    show(config.refine_steps, config.refine_steps, float(np.median(10 / cost)))
+    show(config.refine_steps, config.refine_steps, float(np.median(from_cost(cost, 0))))
     return theta, cost, history
 
 
@@ -191,9 +187,7 @@ def _cma(evolved: Evolved, theta, cost, show):
         return cma.advance(
             jax.random.fold_in(jax.random.fold_in(key, config.generations), start),
             course,
-            lambda many, some: 10 / score(static, traced, many, some, axis=GENOME),
-            lambda k: draw_scenes(static, traced, k),
-            validation,
+            *descent(static, traced, validation, 0, axis=GENOME),
             num_steps,
         )
 
@@ -219,7 +213,7 @@ def _cma(evolved: Evolved, theta, cost, show):
             history.append(rows.gather(newest))
             done += length
             least = np.fmin(least, rows.gather(course.cost))
-            show(done, wanted, float(np.median(10 / least)))
+            show(done, wanted, float(np.median(from_cost(least, 0))))
         return rows.gather(course), history
 
     tried = []

@@ -9,13 +9,12 @@ import numpy as np
 from envs.base import Task
 from fntg_jax.controller.layout import HIGH, LOW, get_layout
 from fntg_jax.learning import objective
-from fntg_jax.learning.objective import Static, Traced
+from fntg_jax.learning.objective import VALIDATION, Static, Traced
 from fntg_jax.running import settings
 from fntg_jax.running.registry import code_of, get_suite, get_task, get_world
 from fntg_jax.running.settings import TrainConfig
 
 _POOL_KEY = 0x9001  # of the scenes of training and validation; evaluation draws others
-_VALIDATION = 2048  # scenes that the final controller is chosen on
 
 
 # Fields of a configuration that every task has; the others are those of bioa.
@@ -96,12 +95,12 @@ class Problem(NamedTuple):
             scenes = self.suite(key, config.num_scenes)
             if config.refine_steps == 0 or config.suite == "paper":
                 return scenes, scenes
-            return scenes, self.suite(jax.random.fold_in(key, 1), _VALIDATION)
+            return scenes, self.suite(jax.random.fold_in(key, 1), VALIDATION)
         # One draw, which takes seconds to compile.  A mix comes suite by suite: evenly spread rows
         # hold all of them.
-        size = config.scene_pool + _VALIDATION
+        size = config.scene_pool + VALIDATION
         drawn = jax.tree.map(np.asarray, self.suite(key, size))
-        rows = np.arange(_VALIDATION) * size // _VALIDATION
+        rows = np.arange(VALIDATION) * size // VALIDATION
         return (
             jax.tree.map(lambda x: np.delete(x, rows, axis=0), drawn),
             jax.tree.map(lambda x: x[rows], drawn),

@@ -14,6 +14,7 @@ from fntg_jax.controller.layout import get_layout
 from fntg_jax.learning import ga
 from fntg_jax.learning.fitness import PaperWeights, SmoothWeights
 from fntg_jax.learning.ga import GAConfig
+from fntg_jax.learning.objective import POOL
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +91,7 @@ PRESETS = {
             "moving-ball/wall=0.06/obstacle=0.2:2"
         ),
         num_scenes=32,
-        scene_pool=16384,
+        scene_pool=POOL,
         objective="smooth",
         generations=200,
         initial="partition",
