@@ -8,9 +8,7 @@ evosax, DEAP and pygad are the optional extra `bench`; plain C needs gcc; what i
 left out with a word.  Every number in the README's section on speed is printed by this.
 """
 
-import csv
 import dataclasses
-import io
 import os
 import platform
 import statistics
@@ -23,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from experiments import script
 from experiments.baselines import jobs, plain_numpy
 from experiments.baselines.job import POPULATION, TRIALS, Job, Scenes
 from experiments.baselines.jobs import Contestant
@@ -171,14 +170,9 @@ def growth(options: Options) -> list[dict]:
 
 def write_growth(rows: list[dict], folder: Path) -> Path:
     """growth.csv, growth.png and growth.pdf."""
-    from fntg_jax.files import write_atomically
     from fntg_jax.showing import plots
 
-    text = io.StringIO()
-    table = csv.DictWriter(text, rows[0], lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    write_atomically(folder / "growth.csv", text.getvalue().encode())
+    script.write_csv(folder / "growth.csv", rows[0], [row.values() for row in rows])
     figure, panels = plots.new_grid(1, 3, 11, 3.8)
     names = list(dict.fromkeys((r["contestant"], r["cores"]) for r in rows))
     for panel, axis in zip(panels[0], ("population", "trials", "seeds")):

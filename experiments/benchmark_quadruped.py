@@ -130,8 +130,7 @@ def main(argv: list[str] | None = None) -> None:
     except ValueError as error:
         refuse(str(error))
     if config.csv is not None:
-        lines = [",".join(rows[0])] + [",".join(map(str, row.values())) for row in rows]
-        config.csv.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        script.write_csv(config.csv, rows[0], [row.values() for row in rows])
 
 
 if __name__ == "__main__":

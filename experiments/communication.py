@@ -17,7 +17,6 @@ Writes communication.csv, reliability.csv, false.csv, communication.png, and sou
 of the match's symbols level: the logistic curve of losses over distance.
 """
 
-import csv
 import dataclasses
 import json
 import math
@@ -34,7 +33,7 @@ from experiments import script
 from fntg_jax.files import write_atomically
 from fntg_jax.robot import acoustics
 from fntg_jax.robot.communication import SLOT, Word, pack
-from fntg_jax.running import xla
+from fntg_jax.running import statistics, xla
 
 # Weights of the code's error events (generators 171, 133) and how many events have each.
 SPECTRUM = {10: 11, 12: 38, 14: 193, 16: 1331, 18: 7275, 20: 40406}
@@ -159,15 +158,6 @@ def union_bound(ebn0: float) -> float:
     return min(1.0, 64 * sum(count * factor**weight for weight, count in SPECTRUM.items()))
 
 
-def wilson(lost: int, number: int) -> tuple[float, float]:
-    """95 % interval of a share."""
-    z, share = 1.96, lost / number
-    middle = (share + z * z / 2 / number) / (1 + z * z / number)
-    half = z * math.sqrt(share * (1 - share) / number + z * z / 4 / number**2)
-    half /= 1 + z * z / number
-    return max(0.0, middle - half), min(1.0, middle + half)
-
-
 def speech(key: jax.Array, samples: int) -> jax.Array:
     """Speech-like: pulses at a gliding pitch and hiss, through three gliding formants, in
     syllables of about 0.2 s."""
@@ -239,7 +229,7 @@ def curves(options: Options) -> list[dict[str, object]]:
     def point(curve: str, x: float, results: tuple, **theory: float) -> None:
         right, wrong = (np.asarray(r) for r in results[:2])
         lost = int((~right).sum())
-        low, high = wilson(lost, len(right))
+        _, low, high = statistics.wilson(lost, len(right))
         rows.append(
             {"curve": curve, "x": x, "frames": len(right), "lost": lost, "wrong": int(wrong.sum()),
              "share": lost / len(right), "low": low, "high": high, **theory}
@@ -300,7 +290,7 @@ def reliability(options: Options) -> list[dict[str, object]]:
     for low, high in ((0, 0.01), (0.01, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 0.99), (0.99, 1.01)):
         here = judged & (supposed >= low) & (supposed < high)
         if here.any():
-            below, above = wilson(int(right[here].sum()), int(here.sum()))
+            _, below, above = statistics.wilson(int(right[here].sum()), int(here.sum()))
             means = {"supposed": float(supposed[here].mean()), "right": float(right[here].mean())}
             rows.append({**means, "low": below, "high": above, "frames": int(here.sum())})
             share = f"{means['right']:.3f} ({below:.3f} to {above:.3f}) of {int(here.sum())}"
@@ -403,10 +393,7 @@ def main() -> None:
 
 def table(path: Path, rows: list[dict[str, object]]) -> None:
     columns = list(dict.fromkeys(name for row in rows for name in row))
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, columns)
-        writer.writeheader()
-        writer.writerows(rows)
+    script.write_csv(path, columns, [[row.get(name, "") for name in columns] for row in rows])
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from experiments import figures
+from fntg_jax.running import statistics
 from fntg_jax.showing import plots
 
 
@@ -16,7 +17,7 @@ def run(config: figures.Options) -> Any:
 
 def plot(history: Any, path: Path) -> Path:
     """PNG, PDF and CSV: medians over seeds with their 95 % bootstrap interval."""
-    best, mean = (plots.bootstrap_median(x) for x in (history.best, history.mean))
+    best, mean = (statistics.bootstrap_median(x) for x in (history.best, history.mean))
     generation = np.arange(1, best.shape[1] + 1)
     names = [f"{q}_{s}" for q in ("best", "average") for s in ("low", "median", "high")]
     columns = [generation, *best, *mean]

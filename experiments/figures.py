@@ -102,11 +102,8 @@ def paper_trials(options: Options, starts: slice) -> Trials:
 
 def write_csv(path: Path, header: str, columns: list[Any]) -> None:
     """The numbers of a figure, beside it."""
-    import numpy as np
-
-    np.savetxt(
-        path, np.column_stack(columns), delimiter=",", header=header, comments="", fmt="%.9g"
-    )
+    rows = ([f"{x:.9g}" for x in row] for row in zip(*columns, strict=True))
+    script.write_csv(path, header.split(","), rows)
 
 
 def write_trials_csv(path: Path, trials: Trials) -> None:

@@ -26,9 +26,8 @@ import tyro
 from experiments import script
 from fntg_jax import export
 from fntg_jax.controller.layout import HIGH, LOW, get_layout
-from fntg_jax.files import write_atomically
 from fntg_jax.learning import gradient, objective
-from fntg_jax.running import controllers, evaluation, registry, runner, settings, xla
+from fntg_jax.running import controllers, evaluation, registry, runner, settings, statistics, xla
 from fntg_jax.running.settings import TrainConfig
 from fntg_jax.showing import plots
 
@@ -207,11 +206,12 @@ def suites() -> list[str]:
 
 
 def write_csv(path: Path, rows: list[Row]) -> None:
-    lines = [",".join(["method", "seed", "seconds", *suites()])]
-    for row in rows:
-        shares = ",".join(f"{share:.6g}" for share in row.success)
-        lines.append(f"{row.method},{row.seed},{row.seconds:.3f},{shares}")
-    write_atomically(path, ("\n".join(lines) + "\n").encode())
+    header = ("method", "seed", "seconds", *suites())
+    cells = [
+        (row.method, row.seed, f"{row.seconds:.3f}", *(f"{share:.6g}" for share in row.success))
+        for row in rows
+    ]
+    script.write_csv(path, header, cells)
 
 
 def by_method(rows: list[Row]) -> dict[str, np.ndarray]:
@@ -232,7 +232,9 @@ def table(rows: list[Row]) -> str:
     for name, success in by_method(rows).items():
         cells = [
             f"{median:.1f} [{low:.1f}, {high:.1f}], {worst:.1f}"
-            for low, median, high, worst in zip(*plots.bootstrap_median(success), success.min(0))
+            for low, median, high, worst in zip(
+                *statistics.bootstrap_median(success), success.min(0)
+            )
         ]
         seconds = np.median([r.seconds for r in rows if r.method == name])
         lines.append(f"| {name} | {' | '.join(cells)} | {seconds:.0f} |")
@@ -252,7 +254,7 @@ def differences(rows: list[Row]) -> str:
         "|---|---|---|",
     ]
     for name, success in found.items():
-        low, median, high = plots.bootstrap_median(success - whole)
+        low, median, high = statistics.bootstrap_median(success - whole)
         worst = f"{whole.min():.1f} -> {success.min():.1f}"
         lines.append(f"| {name} | {median:+.1f} [{low:+.1f}, {high:+.1f}] | {worst} |")
     return "\n".join(lines)
@@ -264,7 +266,7 @@ def plot(rows: list[Row], path: Path) -> Path:
     panel, found = axes[0, 0], by_method(rows)
     colours = dict(zip(found, (plots.ORANGE, plots.GREEN, plots.BLUE)))
     for n, (name, success) in enumerate(found.items()):
-        low, median, high = plots.bootstrap_median(success)
+        low, median, high = statistics.bootstrap_median(success)
         x = np.arange(len(suites())) + 0.26 * (n - (len(found) - 1) / 2)
         spread = np.linspace(-0.07, 0.07, len(success))[:, None]
         panel.plot(x + spread, success, "o", color=colours[name], alpha=0.4, ms=3.5, mew=0)

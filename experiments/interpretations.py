@@ -30,7 +30,7 @@ from fntg_jax.learning import fitness, ga
 from fntg_jax.learning.fitness import PaperWeights, paper_fitness
 from fntg_jax.learning.ga import GAConfig
 from fntg_jax.learning.rollout import rollout_pairs
-from fntg_jax.running import evaluation, xla
+from fntg_jax.running import evaluation, statistics, xla
 from fntg_jax.running.registry import get_world
 from fntg_jax.showing import plots
 
@@ -215,7 +215,7 @@ HEADER = (
 
 def _row(result: Result, default: Result) -> str:
     def interval(values):
-        low, middle, high = plots.bootstrap_median(values)
+        low, middle, high = statistics.bootstrap_median(values)
         return f"{middle:.3g} [{low:.3g}, {high:.3g}]"
 
     cells = [
@@ -229,21 +229,16 @@ def _row(result: Result, default: Result) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def _bootstrap_means(values: np.ndarray, draws: int = 2000, seed: int = 0) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    return values[rng.integers(0, len(values), (draws, len(values)))].mean(axis=1)
-
-
 def _mean(values: np.ndarray) -> str:
-    low, high = np.percentile(_bootstrap_means(values), [2.5, 97.5])
-    return f"{values.mean():.1f} [{low:.1f}, {high:.1f}]"
+    low, middle, high = statistics.bootstrap_mean(values)
+    return f"{middle:.1f} [{low:.1f}, {high:.1f}]"
 
 
 def _difference(values: np.ndarray, default: np.ndarray) -> str:
     """Of mean success over the suites: means over seeds, percentile bootstrap, percent."""
     if values is default or len(values) < 2 or np.array_equal(values, default):
         return "-"
-    draws = _bootstrap_means(values) - _bootstrap_means(default, seed=1)
+    draws = statistics.bootstrap_means(values) - statistics.bootstrap_means(default, seed=1)
     low, high = 100 * np.percentile(draws, [2.5, 97.5])
     return f"{100 * (values.mean() - default.mean()):+.1f} [{low:+.1f}, {high:+.1f}]"
 
@@ -302,10 +297,9 @@ def plot(results: list[Result], path: Path) -> Path:
             jitter = rng.uniform(-0.25, 0.25, len(values))
             axis.plot(values, row + jitter, marker, color=colour, ms=2.5, alpha=0.4, lw=0)
             if axis is axes[0, 0]:
-                low, middle, high = plots.bootstrap_median(values)
+                low, middle, high = statistics.bootstrap_median(values)
             else:
-                low, high = np.percentile(_bootstrap_means(values), [2.5, 97.5])
-                middle = values.mean()
+                low, middle, high = statistics.bootstrap_mean(values)
             axis.plot([low, high], [row, row], color="k", lw=2)
             axis.plot(middle, row, "|", color="k", ms=10, mew=2)
         axis.set_yticks(range(len(names)), names)
@@ -314,15 +308,17 @@ def plot(results: list[Result], path: Path) -> Path:
     axes[0, 0].set_xscale("log")
     axes[0, 1].set_yticklabels([])
     path = plots.save(figure, path)
-    with path.with_suffix(".csv").open("w", encoding="utf-8") as file:
-        file.write(
-            "reading,seed,fitness_default,fitness_own,least_denominator,num_lost,v_end,open,blocked\n"
+    header = (
+        "reading,seed,fitness_default,fitness_own,least_denominator,num_lost,v_end,open,blocked"
+    )
+    rows = [
+        [r.reading.name, seed, *(f"{x:.9g}" for x in numbers)]
+        for r in results
+        for seed, numbers in enumerate(
+            zip(r.default, r.own, r.least, r.lost, r.v_end, *r.success.T)
         )
-        for r in results:
-            rows = zip(r.default, r.own, r.least, r.lost, r.v_end, *r.success.T)
-            for seed, numbers in enumerate(rows):
-                cells = [r.reading.name, str(seed), *(f"{x:.9g}" for x in numbers)]
-                file.write(",".join(cells) + "\n")
+    ]
+    script.write_csv(path.with_suffix(".csv"), header.split(), rows)
     return path
 
 

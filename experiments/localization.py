@@ -28,7 +28,7 @@ from experiments import script
 from fntg_jax.robot import hypotheses, monte_carlo
 from fntg_jax.robot import localization as kalman
 from fntg_jax.robot.messages import Displacement, Seen
-from fntg_jax.running import localize, xla
+from fntg_jax.running import localize, statistics, xla
 from fntg_jax.showing import plots
 
 LANDMARKS = {mark.name: (mark.x, mark.y) for mark in FIELD.landmarks}
@@ -217,10 +217,8 @@ def distances(b: Batch, path: Poses) -> np.ndarray:
 
 def _mean(values: np.ndarray, digits: int = 2) -> str:
     """Mean over logs and its bootstrap 95 % interval."""
-    rng = np.random.default_rng(0)
-    draws = values[rng.integers(0, len(values), (1000, len(values)))].mean(axis=1)
-    low, high = np.percentile(draws, [2.5, 97.5])
-    return f"{values.mean():.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+    low, mean, high = statistics.bootstrap_mean(values, 1000)
+    return f"{mean:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
 def levels(options: Options, settings: logs.Settings):
@@ -375,20 +373,26 @@ def run(options: Options) -> Path:
     coverage = reliability(options, settings)
     speed = cost(options, settings)
     path = plot(rows, found, coverage, options.out / "localization.png")
-    with path.with_suffix(".csv").open("w", encoding="utf-8") as file:
-        file.write("question,level,method,log,value\n")
-        for question, level, name, errors in rows:
-            for n, error in enumerate(errors):
-                file.write(f'"{question}",{level:g},"{name}",{n},{error:.6g}\n')
-        for name, both in found.items():
-            for title, taken in zip(("s to 25 cm begun anywhere", "s to 25 cm kidnapped"), both):
-                for n, value in enumerate(taken):
-                    file.write(f'{title},0,"{name}",{n},{value:.6g}\n')
-        for name, shares in coverage.items():
-            for level, share in zip(COVERAGE, shares):
-                file.write(f'within the ellipse,{level:g},"{name}",,{share:.6g}\n')
-        for name, value in speed.items():
-            file.write(f'updates a second,0,"{name}",,{value:.6g}\n')
+    lines: list[Any] = [
+        (question, f"{level:g}", name, n, f"{error:.6g}")
+        for question, level, name, errors in rows
+        for n, error in enumerate(errors)
+    ]
+    titles = ("s to 25 cm begun anywhere", "s to 25 cm kidnapped")
+    lines += [
+        (title, 0, name, n, f"{value:.6g}")
+        for name, both in found.items()
+        for title, taken in zip(titles, both)
+        for n, value in enumerate(taken)
+    ]
+    lines += [
+        ("within the ellipse", f"{level:g}", name, "", f"{share:.6g}")
+        for name, shares in coverage.items()
+        for level, share in zip(COVERAGE, shares)
+    ]
+    lines += [("updates a second", 0, name, "", f"{value:.6g}") for name, value in speed.items()]
+    header = ("question", "level", "method", "log", "value")
+    script.write_csv(path.with_suffix(".csv"), header, lines)
     return path
 
 

@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from experiments import script
+
 DRIVES = ("waypoints", "circles", "points", "wander", "sideways", "weave")
 # Gutmann and Fox's five points, m.
 POINTS = ((0.0, 0.0), (0.5, 0.0), (0.5, -0.5), (-1.0, 0.5), (-1.0, 0.0))
@@ -175,7 +177,6 @@ def make(settings: Settings, landmarks: dict[str, tuple[float, float]], seed: in
 
 def write(log: Log, path: Path, truth: Path) -> None:
     """As `fntg localize` reads them."""
-    lines = ["time,kind,name,a,b,c", *(",".join(map(str, row)) for row in log.rows)]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    lines = ["time,x,y,heading", *(",".join(f"{x:.6g}" for x in row) for row in log.truth)]
-    truth.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    script.write_csv(path, ("time", "kind", "name", "a", "b", "c"), log.rows)
+    poses = [[f"{x:.6g}" for x in row] for row in log.truth]
+    script.write_csv(truth, ("time", "x", "y", "heading"), poses)

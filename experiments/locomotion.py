@@ -13,7 +13,6 @@ kicks: what each kick does to a resting ball when the dog stands up to 2 cm and 
 full model.
 """
 
-import csv
 import dataclasses
 import json
 import math
@@ -187,10 +186,7 @@ def _main(config: Config) -> None:
         return
     rows, whole = table(env, config.variant)
     if config.csv is not None:
-        with config.csv.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, rows[0])
-            writer.writeheader()
-            writer.writerows(rows)
+        script.write_csv(config.csv, rows[0], [row.values() for row in rows])
     if config.json:
         plain = [{k: None if math.isnan(x) else x for k, x in row.items()} for row in rows]
         print(json.dumps({**whole, "rows": plain}, allow_nan=False))

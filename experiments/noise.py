@@ -168,14 +168,16 @@ def plot(results: Results, path: Path) -> Path:
     axes[1, 3].axis("off")
     axes[1, 3].legend(*axes[0, 0].get_legend_handles_labels(), loc="center")
     path = plots.save(figure, path)
-    with path.with_suffix(".csv").open("w", encoding="utf-8") as file:
-        file.write("controllers,seed,disturbance,level,suite,success\n")
-        for d, of_levels in zip(DISTURBANCES, results.success):
-            for level, of_rows in zip(d.levels, of_levels):
-                for name, rows in results.sets.items():
-                    for seed, row in enumerate(rows):
-                        for suite, value in zip(SUITES, of_rows[row]):
-                            file.write(f"{name},{seed},{d.option},{level:g},{suite},{value:.6g}\n")
+    rows = [
+        (name, seed, d.option, f"{level:g}", suite, f"{value:.6g}")
+        for d, of_levels in zip(DISTURBANCES, results.success)
+        for level, of_rows in zip(d.levels, of_levels)
+        for name, of_set in results.sets.items()
+        for seed, row in enumerate(of_set)
+        for suite, value in zip(SUITES, of_rows[row])
+    ]
+    header = ("controllers", "seed", "disturbance", "level", "suite", "success")
+    script.write_csv(path.with_suffix(".csv"), header, rows)
     return path
 
 

@@ -29,7 +29,7 @@ import tyro
 from experiments import optimizers_brax, optimizers_fntg, script
 from experiments.optimizers_fntg import Task
 from fntg_jax.files import write_atomically
-from fntg_jax.running import xla
+from fntg_jax.running import statistics, xla
 from fntg_jax.showing import plots
 
 METHODS = (
@@ -140,8 +140,7 @@ def read(path: Path) -> list[Row]:
 
 
 def write(path: Path, rows: list[Row]) -> None:
-    lines = [",".join(Row._fields), *(",".join(map(str, row)) for row in rows)]
-    write_atomically(path, ("\n".join(lines) + "\n").encode())
+    script.write_csv(path, Row._fields, rows)
 
 
 def courses(rows: list[Row]) -> dict[str, list[list[Row]]]:
@@ -189,12 +188,12 @@ def table(rows: list[Row], left_out: list[str]) -> str:
 
 
 def _interval(values: np.ndarray) -> str:
-    low, middle, high = 100 * plots.bootstrap_median(values)
+    low, middle, high = 100 * statistics.bootstrap_median(values)
     return f"{middle:.1f} [{low:.1f}, {high:.1f}]"
 
 
 def _winner(budget: str, values: dict[str, np.ndarray]) -> str:
-    bounds = {name: plots.bootstrap_median(v) for name, v in values.items()}
+    bounds = {name: statistics.bootstrap_median(v) for name, v in values.items()}
     best = max(bounds, key=lambda name: bounds[name][1])
     equal = [n for n in bounds if n != best and bounds[n][2] >= bounds[best][0]]
     rest = f"; its interval overlaps with that of {', '.join(equal)}" if equal else ", alone"

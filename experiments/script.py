@@ -1,11 +1,12 @@
 """What the scripts share: a folder for results, and one line where something is off."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from fntg_jax.commands.cli import refuse
+from fntg_jax.files import csv_table, write_atomically
 
 
 @contextlib.contextmanager
@@ -23,6 +24,11 @@ def folder(out: Path) -> Iterator[None]:
         refuse(str(error))
     except OSError as error:
         refuse(f"out = {out}: {error.strerror or error}")
+
+
+def write_csv(path: Path, header: Iterable[Any], rows: Iterable[Iterable[Any]]) -> None:
+    """The numbers of a figure or table, whole or not at all."""
+    write_atomically(path, csv_table(header, rows))
 
 
 def check_least(options: Any, **least: int) -> None:

@@ -11,7 +11,6 @@ them with an obstacle in the way; fitness is the geometric mean of the trials' F
 perfect trial does not outweigh many bad ones.
 """
 
-import csv
 import dataclasses
 import sys
 from functools import partial
@@ -27,12 +26,12 @@ import fntg_jax
 from experiments import script
 from fntg_jax import export
 from fntg_jax.controller import genome, network
-from fntg_jax.controller.layout import expand, get_layout
+from fntg_jax.controller.layout import get_layout
 from fntg_jax.learning import fitness, ga
 from fntg_jax.learning.rollout import Outcome, outcome_of, rollout_pairs
-from fntg_jax.running import evaluation, warmstart, xla
+from fntg_jax.running import evaluation, statistics, warmstart, xla
 from fntg_jax.running.registry import get_world
-from fntg_jax.showing import plots
+from fntg_jax.showing import failures, plots
 
 MIX = (("open", 0.5), ("blocked", 0.5))
 CAPTURE = 0.145  # m, where the quadruped brings the ball to; the kinematic world learns with it
@@ -154,9 +153,9 @@ def judge_full(stage, controller, config: Config) -> tuple[list[Row], list[Failu
 
     world = get_world("quadruped")
     env = evaluation.environment_for(controller, world)
-    params = expand(controller.layout, jnp.asarray(controller.theta, jnp.float32))
+    params = controller.params32
     control = jax.vmap(lambda seen: network.command(params, seen, env.limits, controller.output))
-    rows, failures = [], []
+    rows, failed = [], []
     for suite in ("open", "blocked"):
         scenes = evaluation.held_out_scenes(world, suite, config.full_scenes)
         run = native.run(env, scenes, lambda seen, _: control(seen), "full")
@@ -164,37 +163,29 @@ def judge_full(stage, controller, config: Config) -> tuple[list[Row], list[Failu
         outcome = jax.tree.map(np.asarray, judged(run.observation, run.command, run.fallen[-1]))
         parts = fitness.success(outcome)
         good = np.asarray(parts.success)
-        rate = evaluation.wilson(int(good.sum()), config.full_scenes)
+        rate = statistics.wilson(int(good.sum()), config.full_scenes)
         shares = [float(np.mean(getattr(parts, p))) for p in ("reach", "safe", "stop")]
         rows.append(Row(stage, "full", suite, config.full_scenes, *rate, *shares))
         _say(rows[-1])
         for n in np.flatnonzero(~good):
-            why = [
-                f"{outcome.distance[n, 1]:.2f} m from the ball" * (not parts.reach[n]),
-                f"{outcome.clearance[n]:.2f} m from an obstacle or wall"
-                * bool(outcome.clearance[n] < fitness.CLEARANCE),
-                "fell" * bool(outcome.failed[n]),
-                f"{np.abs(outcome.v[n]).mean():.3f} m/s at the end" * (not parts.stop[n]),
-            ]
+            why = failures.reasons(jax.tree.map(lambda x, n=n: x[n], outcome))
             qpos = run.qpos[:, n]
             course = np.arctan2(*np.stack(jax.vmap(heading)(jnp.asarray(qpos)))[::-1])
-            failures.append(
+            failed.append(
                 Failure(
-                    f"{stage}, {suite} {n}\n{chr(10).join(filter(None, why))}",
+                    f"{stage}, {suite} {n}\n{chr(10).join(why)}",
                     np.column_stack([qpos[:, :2], course]),
                     run.ball[:, n],
                     run.obstacles[0, n],
                 )
             )
-    return rows, failures
+    return rows, failed
 
 
-def draw_failures(failures: list[Failure], path: Path, most: int = 24) -> None:
+def draw_failures(failed: list[Failure], path: Path, most: int = 24) -> None:
     """The failed trials from above: start (dot and arrow), path of the dog's centre to its end
     (square), obstacles with the ring it must stay out of, and the ball's way to its end (star)."""
-    from matplotlib.patches import Circle
-
-    shown = failures[:most]
+    shown = failed[:most]
     columns = min(len(shown), 4)
     num_rows = -(-len(shown) // columns)
     figure, axes = plots.new_grid(num_rows, columns, 3.2 * columns, 2.6 * num_rows)
@@ -202,20 +193,12 @@ def draw_failures(failures: list[Failure], path: Path, most: int = 24) -> None:
         axis.set_axis_off()
     for axis, trial in zip(axes.flat, shown):
         plots.draw_field(axis, get_world("quadruped").field)
-        for x, y, radius in trial.obstacles:
-            axis.add_patch(Circle((x, y), radius, color="0.45"))
-            ring = Circle((x, y), radius + fitness.CLEARANCE, fill=False, color="0.45", ls=":")
-            axis.add_patch(ring)
-        x, y, angle = trial.robot[0]
-        axis.arrow(x, y, 0.15 * np.cos(angle), 0.15 * np.sin(angle), width=0.015, color=plots.BLUE)
-        axis.plot(*trial.robot[:, :2].T, color=plots.BLUE, linewidth=1.4)
-        axis.plot(*trial.robot[0, :2], "o", color=plots.BLUE, markersize=4)
-        axis.plot(*trial.robot[-1, :2], "s", color=plots.BLUE, markersize=4)
-        axis.plot(*trial.ball.T, color=plots.ORANGE, linewidth=1)
-        axis.plot(*trial.ball[-1], "*", color=plots.ORANGE, markersize=8, zorder=5)
+        plots.draw_discs(axis, trial.obstacles)
+        plots.draw_path(axis, trial.robot, plots.BLUE)
+        plots.draw_ball(axis, trial.ball)
         axis.set_title(trial.title, fontsize=7, loc="left")
-    more = f", {most} of them shown" if len(failures) > most else ""
-    figure.suptitle(f"{len(failures)} failed trials in the full model{more}", fontsize=9)
+    more = f", {most} of them shown" if len(failed) > most else ""
+    figure.suptitle(f"{len(failed)} failed trials in the full model{more}", fontsize=9)
     plots.save(figure, path)
 
 
@@ -248,7 +231,7 @@ def run(config: Config) -> tuple[list[Row], list[Failure]]:
         first = export.from_bits(layout, np.asarray(best), provenance={"env": "kinematic"})
         export.save(first, config.out / "kinematic.json")
     rows = judge("kinematic", first, config)
-    full, failures = judge_full("kinematic", first, config)
+    full, failed = judge_full("kinematic", first, config)
     settings = dataclasses.replace(settings, population=config.fine_population)
     start = warmstart.neighbours(
         jax.random.key(config.seed), jnp.asarray(first.theta, jnp.float32), config.fine_population
@@ -268,20 +251,17 @@ def run(config: Config) -> tuple[list[Row], list[Failure]]:
     export.save(tuned, config.out / "fine-tuned.json")
     rows += full + judge("fine-tuned", tuned, config)
     full, more = judge_full("fine-tuned", tuned, config)
-    return rows + full, failures + more
+    return rows + full, failed + more
 
 
 def main(argv: list[str] | None = None) -> None:
     config = tyro.cli(Config, args=argv)
     xla.configure()
     with script.folder(config.out):
-        rows, failures = run(config)
-        with (config.out / "transfer.csv").open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(Row._fields)
-            writer.writerows(rows)
-        if failures:
-            draw_failures(failures, config.out / "failures.png")
+        rows, failed = run(config)
+        script.write_csv(config.out / "transfer.csv", Row._fields, rows)
+        if failed:
+            draw_failures(failed, config.out / "failures.png")
             print(config.out / "failures.png")
 
 

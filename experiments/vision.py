@@ -25,7 +25,7 @@ from envs.field import FIELD
 from envs.soccer import image, image_mjcf
 from experiments import script
 from fntg_jax.robot import colours, sight, vision
-from fntg_jax.running import evaluation, xla
+from fntg_jax.running import statistics, xla
 
 ROBOTS = 5
 BATCH = 32
@@ -209,7 +209,7 @@ def summary(ball: np.ndarray, marks: np.ndarray, false_balls: int, named: int, w
     rows: dict[str, Any] = {"frames": frames}
 
     def share(name, hits, of):
-        rate = evaluation.wilson(int(hits), max(int(of), 1))
+        rate = statistics.wilson(int(hits), max(int(of), 1))
         rows[name] = {"share": rate.share, "low": rate.low, "high": rate.high, "of": int(of)}
 
     near = ball[(ball[:, 0] >= 0.5) & (ball[:, 1] < 2.0)]

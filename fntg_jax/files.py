@@ -1,11 +1,15 @@
 """Files that are either the old or the new version, never half of one, and JSON that is safe
 inside other languages."""
 
+import contextlib
+import csv
 import errno
+import io
 import json
 import os
 import stat
 import tempfile
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +32,25 @@ def write_atomically(path: str | Path, data: bytes) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+@contextlib.contextmanager
+def writing(path: str | Path, option: str = "") -> Iterator[None]:
+    """Raises ValueError in one line, which names the option, from an OSError inside."""
+    try:
+        yield
+    except OSError as error:
+        where = f"{option} = {path}" if option else str(path)
+        raise ValueError(f"{where}: {error.strerror or error}") from error
+
+
+def csv_table(header: Iterable[Any], rows: Iterable[Iterable[Any]]) -> bytes:
+    """A table as CSV, UTF-8: a header, then the rows; quoted where it must be."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue().encode()
 
 
 def check_out(path: str | Path) -> None:

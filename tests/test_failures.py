@@ -9,7 +9,7 @@ from PIL import Image
 from fntg_jax import export
 from fntg_jax.commands import cli
 from fntg_jax.learning.rollout import Outcome
-from fntg_jax.running import evaluation, registry, xla
+from fntg_jax.running import evaluation, registry, statistics, xla
 from fntg_jax.showing import failures, plots
 from tests.controllers import random_controller
 
@@ -57,7 +57,7 @@ def test_the_command_draws_the_first_failed_trials(tmp_path, capsys, monkeypatch
 def test_nothing_failed(tmp_path):
     controller, world = random_controller(), registry.get_world("kinematic")
     result = evaluation.evaluate(controller, world, "open", SCENES)
-    perfect = {part: evaluation.wilson(SCENES, SCENES) for part in evaluation.PARTS}
+    perfect = {part: statistics.wilson(SCENES, SCENES) for part in evaluation.PARTS}
     result = result._replace(success=np.ones(SCENES, bool), rates=perfect)
     path = failures.picture(controller, world, None, [result], tmp_path / "none.png")
     assert path.exists() and "0 of 20 failed" in failures._summary(result)

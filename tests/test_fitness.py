@@ -8,7 +8,7 @@ from scipy.stats import binomtest
 
 from fntg_jax.learning.fitness import PaperWeights, paper_fitness, success
 from fntg_jax.learning.rollout import Outcome
-from fntg_jax.running.evaluation import wilson
+from fntg_jax.running.statistics import wilson
 
 
 def outcome(**changes):

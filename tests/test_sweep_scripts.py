@@ -1,7 +1,7 @@
 """The sweep scripts at a tiny budget: each runs, draws, and writes the numbers it drew."""
 
 import csv
-import importlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,9 +23,8 @@ SCRIPTS = [
 
 @pytest.mark.parametrize(("name", "settings"), SCRIPTS)
 def test_sweep(name, settings, tmp_path):
-    script = importlib.import_module(f"experiments.sweep_{name}")
-    table = script.run(OPTIONS)
-    path = script.plot(table, tmp_path / "figure.png")
+    table = sweeps.run(name, OPTIONS)
+    path = sweeps.plot(table, tmp_path / "figure.png")
     picture = np.asarray(Image.open(path).convert("L"))
     assert picture.shape[0] > 300 and 0.001 < (picture < 128).mean() < 0.6
     assert path.with_suffix(".pdf").stat().st_size > 5000
@@ -35,3 +34,10 @@ def test_sweep(name, settings, tmp_path):
     np.testing.assert_allclose(best, table.best.ravel(), rtol=1e-6)
     # Settings differ; `best` would tie where elitism kept a genome of generation 0.
     assert len(set(table.mean.ravel())) > settings
+
+
+def test_every_sweep_has_its_script():
+    scripts = {p.stem: p.read_text() for p in Path(sweeps.__file__).parent.glob("sweep_*.py")}
+    assert set(scripts) == {f"sweep_{name}" for name in sweeps.SWEEPS}
+    for name in sweeps.SWEEPS:
+        assert f'sweeps.main("{name}")' in scripts[f"sweep_{name}"]

@@ -55,12 +55,11 @@ def main(argv: list[str]) -> None:
     ]
     say(f"world {name}")
     if picture is not None:
+        from fntg_jax.files import writing
         from fntg_jax.showing import failures
 
-        try:
+        with writing(picture, "failures"):
             say(f"failures {failures.picture(controller, world, env, results, picture)}")
-        except OSError as error:
-            raise ValueError(f"failures = {picture}: {error.strerror or error}") from None
     if options.json:
         document = {
             r.suite: {"scenes": r.num_scenes, **{k: v._asdict() for k, v in r.rates.items()}}

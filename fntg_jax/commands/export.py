@@ -36,7 +36,7 @@ _MARKS = (b'"format": "fntg-params"', b"Written by fntg-jax", b"Engine: fntg", b
 
 def main(argv: list[str]) -> None:
     options = parse(ExportOptions, argv, "export")
-    from fntg_jax.files import write_atomically
+    from fntg_jax.files import write_atomically, writing
 
     to_file = str(options.out) != "-"
     to = _format(options) if to_file else options.to or "json"
@@ -45,10 +45,8 @@ def main(argv: list[str]) -> None:
     if not to_file:
         sys.stdout.write(text)
         return
-    try:
+    with writing(options.out, "out"):
         write_atomically(options.out, text.encode())
-    except OSError as error:
-        raise ValueError(f"out = {options.out}: {error.strerror or error}") from None
     say(f"wrote {options.out}")
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from fntg_jax.commands.cli import parse, say
-from fntg_jax.files import write_atomically
+from fntg_jax.files import write_atomically, writing
 from fntg_jax.running import registry, xla
 
 
@@ -48,17 +48,13 @@ def main(argv: list[str]) -> None:
     rows = localize.read_log(options.log, landmarks)
     poses = localize.localize(rows, landmarks)
     report = None if truth is None else localize.report(poses, truth)
-    try:
-        write_atomically(options.out, localize.table(poses).encode())
-    except OSError as error:
-        raise ValueError(f"out = {options.out}: {error.strerror or error}") from None
+    with writing(options.out, "out"):
+        write_atomically(options.out, localize.table(poses))
     if picture is not None:
         from fntg_jax.showing import path
 
-        try:
+        with writing(picture, "plot"):
             say(f"plot {path.plot(poses, landmarks, truth, picture)}")
-        except OSError as error:
-            raise ValueError(f"plot = {picture}: {error.strerror or error}") from None
     print(options.out)
     if report is not None:
         print(report)

@@ -1,7 +1,6 @@
 """`fntg match`: two teams, many matches under the referee."""
 
 import dataclasses
-import io
 import json
 import os
 from pathlib import Path
@@ -108,7 +107,7 @@ def _page(path: Path, match, sides, seed: int) -> Path:
     """The first match of those that are played, as a page."""
     import jax
 
-    from fntg_jax.files import write_atomically
+    from fntg_jax.files import write_atomically, writing
     from fntg_jax.learning import play
     from fntg_jax.running import matches
     from fntg_jax.showing import match_page
@@ -117,10 +116,8 @@ def _page(path: Path, match, sides, seed: int) -> Path:
     home, away = sides
     history = jax.jit(lambda s: play.record(match, home, away, s))(seeds[0])
     shown = match_page.recording(match, jax.device_get(history), sides, match.calls)
-    try:
+    with writing(path, "html"):
         write_atomically(path, match_page.page(shown).encode())
-    except OSError as error:
-        raise ValueError(f"html = {path}: {error.strerror or error}") from None
     return path
 
 
@@ -141,21 +138,16 @@ def _document(summary) -> dict:
 
 
 def _write(folder: Path, results, names: tuple[str, str]) -> Path:
-    import csv
+    from fntg_jax.files import csv_table, write_atomically, writing
 
-    from fntg_jax.files import write_atomically
-
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["match", "seed", "kickoff", "side", "team", *results.statistics])
+    header = ["match", "seed", "kickoff", "side", "team", *results.statistics]
+    rows = []
     for n, seed in enumerate(results.seeds):
         for k, side in enumerate(("home", "away")):
             values = [int(value[n, k]) for value in results.statistics.values()]
-            rows.writerow([n, seed, ("home", "away")[seed % 2], side, names[k], *values])
+            rows.append([n, seed, ("home", "away")[seed % 2], side, names[k], *values])
     path = folder / "matches.csv"
-    try:
+    with writing(folder, "out"):
         folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, text.getvalue().encode())
-    except OSError as error:
-        raise ValueError(f"out = {folder}: {error.strerror or error}") from None
+        write_atomically(path, csv_table(header, rows))
     return path

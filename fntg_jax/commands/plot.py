@@ -29,13 +29,12 @@ def main(argv: list[str]) -> None:
     if not 1 <= len(options.controllers) <= 2:
         raise ValueError(f"{len(options.controllers)} controllers: allowed are one or two")
     xla.configure()
+    from fntg_jax.files import writing
     from fntg_jax.showing import plot_controller
 
     controllers = [(str(path), load_controller(path)) for path in options.controllers]
     field = registry.get_world(options.env).field
     for name in ("memberships", "surfaces"):
         path = options.out.with_name(f"{options.out.name}-{name}.png")
-        try:
+        with writing(path, "out"):
             print(getattr(plot_controller, name)(controllers, field, path))
-        except OSError as error:
-            raise ValueError(f"out = {path}: {error.strerror or error}") from None

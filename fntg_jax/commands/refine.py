@@ -63,6 +63,7 @@ def main(argv: list[str]) -> None:
     import numpy as np
 
     from fntg_jax import export
+    from fntg_jax.files import writing
     from fntg_jax.learning import cma, gradient, objective
     from fntg_jax.running import evaluation
 
@@ -114,10 +115,8 @@ def main(argv: list[str]) -> None:
     else:
         result = controller
         say("no iterate is better than the start: the controller is written as it was")
-    try:
+    with writing(options.out, "out"):
         export.save(result, options.out)
-    except OSError as error:
-        raise ValueError(f"out = {options.out}: {error.strerror or error}") from None
     print(options.out)
 
 

@@ -122,12 +122,10 @@ def _view(trials: Any, options: ReplayOptions, films: bool) -> None:
 
 
 def _write(files: dict[Path, bytes]) -> None:
-    from fntg_jax.files import write_atomically
+    from fntg_jax.files import write_atomically, writing
 
     for path, data in files.items():
-        try:
+        with writing(path, "out"):
             write_atomically(path, data)
-        except OSError as error:
-            raise ValueError(f"out = {path}: {error.strerror or error}") from None
         say(f"{len(data)} bytes: {path}")
     print(next(iter(files)))

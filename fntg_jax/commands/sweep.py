@@ -39,6 +39,7 @@ def main(argv: list[str]) -> None:
     if not options.axis:
         raise ValueError("axis: none given; e.g. --axis ga.mutation_rate=0.0003,0.001,0.003")
     xla.configure(num_cpu_devices=os.cpu_count() or 1)
+    from fntg_jax.files import writing
     from fntg_jax.running import sweep
     from fntg_jax.showing import sweep_report
 
@@ -53,19 +54,15 @@ def main(argv: list[str]) -> None:
         raise ValueError(f"scenes = {options.scenes}: allowed are whole numbers from 1")
     folder = options.out or Path("runs") / f"sweep-{time.strftime('%Y%m%d-%H%M%S')}"
     sweep.problems(options.config, settings, options.suites)  # refuses what cannot run
-    try:
+    with writing(folder, "out"):
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise ValueError(f"out = {folder}: exists already; choose a new folder")
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"out = {folder}: {error.strerror or error}") from None
     start = time.perf_counter()
     table = sweep.run(options.config, settings, options.suites, options.scenes, say, generation_bar)
     say(f"{time.perf_counter() - start:.1f} s")
-    try:
+    with writing(folder):
         sweep_report.write_csv(table, options.config.first_seed, folder / "sweep.csv")
         figure = sweep_report.plot(table, folder / "sweep.png")
-    except OSError as error:
-        raise ValueError(f"{folder}: {error.strerror or error}") from None
     print(sweep_report.leaderboard(table), end="")
     say(f"table {folder / 'sweep.csv'}" + (f", figure {figure}" if figure else ""))

@@ -85,6 +85,7 @@ _WITH_RESUME = ("resume", "distributed", "coordinator", "num-processes", "proces
 def _train(folder: Path, run: Any, resumed: bool) -> None:
     import jax
 
+    from fntg_jax.files import writing
     from fntg_jax.running import hosts, run_folder
     from fntg_jax.showing import plots
 
@@ -110,7 +111,7 @@ def _train(folder: Path, run: Any, resumed: bool) -> None:
         if resumed:
             say(f"continuing after generation {run.generation}")
         _learn(run, folder)
-    try:
+    with writing(folder):
         if config.scene_pool or config.refine_steps:
             what = ", then refining them" if config.refine_steps else ""
             say(f"choosing the controllers on validation scenes{what} ...")
@@ -120,8 +121,6 @@ def _train(folder: Path, run: Any, resumed: bool) -> None:
             )
         if hosts.is_first():
             figure = plots.fitness_curves(run.history(), folder / "fig5.png", result.refined)
-    except OSError as error:
-        raise ValueError(f"{folder}: {error.strerror or error}") from None
     spread = f", median over seeds {np.median(result.fitness):.4g}" if config.seeds > 1 else ""
     if result.judgement:
         judged = {name: x[np.argmax(result.fitness)] for name, x in result.judgement.items()}
@@ -169,6 +168,7 @@ _CHECKPOINT_SECONDS = 2.0
 
 def _learn(run: Any, folder: Path) -> None:
     """Advance a run to its end, with progress on stderr, leaving a checkpoint when stopped."""
+    from fntg_jax.files import writing
     from fntg_jax.running import hosts, memory, run_folder
 
     wanted: list[int] = []
@@ -177,7 +177,7 @@ def _learn(run: Any, folder: Path) -> None:
         say("tracing and compiling ...")
         say(f"tracing and compiling took {run.compile():.1f} s")
         memory.announce(run.memory_bytes, say)
-        with generation_bar(run) as show:
+        with generation_bar(run) as show, writing(folder):
             saved = time.monotonic()
             stop = 0
             while not run.done and not stop:
@@ -189,8 +189,6 @@ def _learn(run: Any, folder: Path) -> None:
                     run_folder.save_checkpoint(folder, run)
                     saved = time.monotonic()
                 show(progress)
-    except OSError as error:
-        raise ValueError(f"{folder}: {error.strerror or error}") from None
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)

@@ -93,11 +93,10 @@ def commands(text: str, inputs: np.ndarray) -> np.ndarray:
     return np.stack(namespace["command"](*inputs.T), axis=-1)
 
 
-def _table(value: list) -> str:
-    rows = (f"            {row},\n" for block in value for pair in block for row in pair)
-    a, b, c, d, e, f, g, h = rows
-    pair = "        [\n{}{}        ],\n"
-    block = "    [\n{}{}    ],\n"
-    first = block.format(pair.format(a, b), pair.format(c, d))
-    second = block.format(pair.format(e, f), pair.format(g, h))
-    return f"[\n{first}{second}]"
+def _table(value: list, indent: int = 0) -> str:
+    """Nested lists, a line for each innermost one."""
+    pad = " " * indent
+    if not isinstance(value[0], list):
+        return f"{pad}{value}"
+    inner = "".join(f"{_table(part, indent + 4)},\n" for part in value)
+    return f"{pad}[\n{inner}{pad}]"

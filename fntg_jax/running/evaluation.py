@@ -1,6 +1,5 @@
 """Success of a controller on suites of scenes, with Wilson intervals."""
 
-import math
 from typing import Any, NamedTuple
 
 import jax
@@ -12,19 +11,9 @@ from fntg_jax.learning import fitness
 from fntg_jax.learning.rollout import Outcome, rollout_pairs
 from fntg_jax.running import memory
 from fntg_jax.running.registry import get_suite
+from fntg_jax.running.statistics import Rate, wilson
 
 PARTS = ("reach", "safe", "stop", "success")
-
-
-class Rate(NamedTuple):
-    """A share of successes with its Wilson 95 % interval."""
-
-    share: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        return f"{100 * self.share:.1f} % ({100 * self.low:.1f}-{100 * self.high:.1f})"
 
 
 class Evaluation(NamedTuple):
@@ -40,23 +29,6 @@ class Evaluation(NamedTuple):
     def __repr__(self) -> str:  # not pages of arrays
         rates = ", ".join(f"{name} {rate}" for name, rate in self.rates.items())
         return f"Evaluation({self.suite!r}, {self.num_scenes} scenes: {rates})"
-
-
-def wilson(successes: int, trials: int, z: float = 1.959964) -> Rate:
-    """Wilson score interval of a binomial share (E. B. Wilson, JASA 22, 1927).
-
-    Args:
-        successes: how many of the trials.
-        trials: at least 1.
-        z: quantile of the normal distribution; the default is that of 95 %.
-    """
-    p = successes / trials
-    centre = p + z * z / (2 * trials)
-    half = z * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
-    scale = 1 + z * z / trials
-    # Rounding must not push a bound past the share itself at 0 and 1.
-    low, high = (centre - half) / scale, (centre + half) / scale
-    return Rate(p, max(0.0, min(p, low)), min(1.0, max(p, high)))
 
 
 def evaluate(

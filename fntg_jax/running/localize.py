@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from fntg_jax.files import csv_table
 from fntg_jax.robot import hypotheses
 
 LOG_HEADER = ["time", "kind", "name", "a", "b", "c"]
@@ -168,13 +169,13 @@ def localize(rows: list[Row], landmarks: dict[str, tuple[float, float]]) -> Pose
     return Poses(time, pose, covariance, lost)
 
 
-def table(poses: Poses) -> str:
+def table(poses: Poses) -> bytes:
     """CSV: time,x,y,heading,sd_x,sd_y,sd_heading."""
-    lines = [",".join(POSE_HEADER + SD_HEADER)]
+    rows = []
     sd = np.sqrt(np.maximum(np.diagonal(poses.covariance, axis1=1, axis2=2), 0.0))
     for time, pose, spread in zip(poses.time, poses.pose, sd):
-        lines.append(",".join([f"{time:.12g}", *(f"{x:.6f}" for x in (*pose, *spread))]))
-    return "\n".join(lines) + "\n"
+        rows.append([f"{time:.12g}", *(f"{x:.6f}" for x in (*pose, *spread))])
+    return csv_table(POSE_HEADER + SD_HEADER, rows)
 
 
 def read_truth(path: Path) -> np.ndarray:

@@ -18,7 +18,7 @@ from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 
 from fntg_jax.learning import play
-from fntg_jax.running.evaluation import Rate, wilson
+from fntg_jax.running.statistics import Rate, bootstrap_mean_of_counts, wilson
 
 MATCHES, TEAMS = "fntg_jax.matches", "fntg_jax.teams"
 MOST = 1_000_000
@@ -169,18 +169,10 @@ def summarize(results: Results, names: tuple[str, str]) -> tuple[Summary, Summar
             Summary(
                 name,
                 float(goals[:, k].mean()),
-                bootstrap_mean(goals[:, k]),
+                bootstrap_mean_of_counts(goals[:, k]),
                 wins,
                 wins.share + 0.5 * draws.share,
                 means,
             )
         )
     return made[0], made[1], draws
-
-
-def bootstrap_mean(counts: np.ndarray, resamples: int = 2000) -> tuple[float, float]:
-    """95 % percentile interval of the mean of whole numbers [M], by resampling their histogram."""
-    values, times = np.unique(counts, return_counts=True)
-    draws = np.random.default_rng(0).multinomial(len(counts), times / len(counts), resamples)
-    low, high = np.quantile(draws @ values / len(counts), (0.025, 0.975))
-    return float(low), float(high)

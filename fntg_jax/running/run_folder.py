@@ -16,7 +16,7 @@ import numpy as np
 
 from envs.base import Task
 from fntg_jax import export
-from fntg_jax.files import write_atomically
+from fntg_jax.files import csv_table, write_atomically, writing
 from fntg_jax.running import checkpoint, config_file, controllers, genes, hosts, settings
 from fntg_jax.running.problem import resolve
 from fntg_jax.running.provenance import provenance
@@ -26,13 +26,11 @@ from fntg_jax.running.settings import TrainConfig
 
 def create(out: Path, config: TrainConfig) -> None:
     """Make the folder and write config.json.  Raises ValueError where it cannot be made."""
-    try:
+    with writing(out, "out"):
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             raise ValueError(f"out = {out}: exists already; choose a new folder, or --resume it")
         out.mkdir(parents=True, exist_ok=True)
         _write_json(out / "config.json", dataclasses.asdict(config))
-    except OSError as error:
-        raise ValueError(f"out = {out}: {error.strerror or error}") from None
 
 
 def discard(folder: Path) -> None:
@@ -91,14 +89,12 @@ def finish(
     history, result = run.history(), run.conclude(show)
     if not hosts.is_first():
         return result
-    rows = ["seed,generation,best,mean,num_nonfinite"]
-    for s, g in np.ndindex(history.best.shape):
-        seed = run.config.first_seed + s
-        rows.append(
-            f"{seed},{g + 1},{history.best[s, g]:.9g},{history.mean[s, g]:.9g},"
-            f"{history.num_nonfinite[s, g]}"
-        )
-    write_atomically(folder / "metrics.csv", ("\n".join(rows) + "\n").encode())
+    first, header = run.config.first_seed, ("seed", "generation", *History._fields[:3])
+    rows = [
+        (first + s, g + 1, f"{history.best[s, g]:.9g}", f"{history.mean[s, g]:.9g}", num)
+        for (s, g), num in np.ndenumerate(history.num_nonfinite)
+    ]
+    write_atomically(folder / "metrics.csv", csv_table(header, rows))
     _write_npz(
         folder / "history.npz",
         {

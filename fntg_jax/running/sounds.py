@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from fntg_jax.files import write_atomically
+from fntg_jax.files import write_atomically, writing
 from fntg_jax.robot import acoustics
 from fntg_jax.robot.communication import Word, unpack
 
@@ -81,10 +81,8 @@ def write_wav(path: str | Path, rate: int, samples: Float[np.ndarray, " samples"
 
     file = io.BytesIO()
     wavfile.write(file, rate, np.round(np.clip(samples, -1, 1) * 32767).astype(np.int16))
-    try:
+    with writing(path):
         write_atomically(path, file.getvalue())
-    except OSError as error:
-        raise ValueError(f"{path}: {error.strerror}") from None
 
 
 def resample(

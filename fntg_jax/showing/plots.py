@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from fntg_jax.files import write_atomically
+from fntg_jax.learning.fitness import CLEARANCE
+from fntg_jax.running.statistics import bootstrap_median
 
 # Okabe and Ito's palette.
 BLUE, ORANGE, GREEN, RED, SKY, PURPLE = (
@@ -71,19 +73,6 @@ def save(figure: Any, path: str | Path) -> Path:
             figure.savefig(drawn, format=suffix[1:], bbox_inches="tight")
         write_atomically(path.with_suffix(suffix), drawn.getvalue())
     return path.with_suffix(".png")
-
-
-def bootstrap_median(values: np.ndarray, level: float = 0.95, draws: int = 1000) -> np.ndarray:
-    """Median over axis 0 and its percentile bootstrap interval: [3, ...] low, median, high.
-
-    The resampling is seeded, so that a figure drawn twice is the same figure.
-    """
-    rng = np.random.default_rng(0)
-    picks = rng.integers(0, values.shape[0], (draws, values.shape[0]))
-    medians = np.stack([np.median(values[p], axis=0) for p in picks])
-    tail = 50 * (1 - level)
-    low, high = np.percentile(medians, [tail, 100 - tail], axis=0)
-    return np.stack([low, np.median(values, axis=0), high])
 
 
 def fitness_curves(history: Any, path: str | Path, refined: np.ndarray | None = None) -> Path:
@@ -159,7 +148,7 @@ def draw_discs(axes, discs: np.ndarray) -> None:
     for x, y, radius in discs:
         axes.add_patch(Circle((x, y), radius, color="0.45"))
         axes.add_patch(
-            Circle((x, y), radius + 0.145, fill=False, color="0.45", linestyle=":", linewidth=1)
+            Circle((x, y), radius + CLEARANCE, fill=False, color="0.45", linestyle=":", linewidth=1)
         )
 
 

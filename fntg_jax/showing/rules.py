@@ -1,7 +1,5 @@
 """The rule base in plain words: what every rule commands and how often it fires."""
 
-import csv
-import io
 import json
 import math
 from functools import partial
@@ -15,6 +13,7 @@ from envs.base import Limits
 from fntg_jax.controller import layout, network
 from fntg_jax.controller.controller import Controller
 from fntg_jax.controller.labels import Label, describe_labels
+from fntg_jax.files import csv_table
 from fntg_jax.learning.rollout import trajectory
 from fntg_jax.running.evaluation import environment_for, held_out_scenes
 
@@ -206,15 +205,14 @@ def as_json(base: RuleBase) -> str:
 
 def as_csv(base: RuleBase) -> str:
     """One line a rule; shares in [0, 1]."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
     names = ("ball_distance", "obstacle_distance", "ball_direction", "obstacle_side")
-    writer.writerow(["rule", *names, "v_m_s", "omega_rad_s", "mean", "strongest", "peak", "flag"])
+    rows: list[Any] = []
     for r in base.rules:
         labels = [x.name for x in r.labels] + [""] * (4 - len(r.labels))
         numbers = (f"{x:.6g}" for x in (r.v, r.omega, r.mean, r.strongest, r.peak))
-        writer.writerow([r.name, *labels, *numbers, r.flag])
-    return out.getvalue()
+        rows.append([r.name, *labels, *numbers, r.flag])
+    header = ("rule", *names, "v_m_s", "omega_rad_s", "mean", "strongest", "peak", "flag")
+    return csv_table(header, rows).decode()
 
 
 FORMATS = {"text": as_text, "md": as_markdown, "json": as_json, "csv": as_csv}

@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from fntg_jax.files import write_atomically
+from fntg_jax.files import csv_table, write_atomically
+from fntg_jax.running.statistics import bootstrap_median
 from fntg_jax.running.sweep import Table
 from fntg_jax.showing import plots
-from fntg_jax.showing.plots import BLUE, ORANGE, RC, bootstrap_median
+from fntg_jax.showing.plots import BLUE, ORANGE, RC
 
 
 def measure(table: Table) -> tuple[str, np.ndarray]:
@@ -24,13 +25,13 @@ def write_csv(table: Table, first_seed: int, path: Path) -> None:
     Raises OSError."""
     names = list(table.settings[0])
     header = [*names, "seed", "best", "mean", *(f"success_{s}" for s in table.success)]
-    rows = [",".join(header)]
+    rows = []
     for n, seed in np.ndindex(table.best.shape):
         numbers = [table.best[n, seed], table.mean[n, seed]]
         numbers += [share[n, seed] for share in table.success.values()]
         values = [str(table.settings[n][name]) for name in names]
-        rows.append(",".join([*values, str(first_seed + seed), *(f"{x:.9g}" for x in numbers)]))
-    write_atomically(path, ("\n".join(rows) + "\n").encode())
+        rows.append([*values, first_seed + seed, *(f"{x:.9g}" for x in numbers)])
+    write_atomically(path, csv_table(header, rows))
 
 
 def leaderboard(table: Table) -> str:

@@ -11,6 +11,7 @@ import pytest
 from envs.soccer import audio, tables
 from experiments import communication as experiment
 from fntg_jax.robot import acoustics, communication, ear
+from fntg_jax.running import statistics
 from tests.conftest import ROOT
 
 HALL = audio.Hall()
@@ -90,7 +91,7 @@ def test_the_symbols_table_is_fitted_to_the_audio_level():
         right, wrong, *_ = experiment.on_field(jax.random.key(11), 192, hall, distance, jnp.inf)
         lost = int((~np.asarray(right)).sum())
         assert not np.asarray(wrong).any()
-        low, high = experiment.wilson(lost, 192)
+        _, low, high = statistics.wilson(lost, 192)
         table = 1 / (1 + np.exp((air.half - distance) / air.width))
         assert low - 0.02 <= table <= high + 0.02, (distance, lost / 192, table)
 
