@@ -328,6 +328,9 @@ class Task(NamedTuple):
     from.  The last population's individual with the largest number "score" is the result; without
     `judge` it is the best of all generations, which fits a fitness that does not change.
     files: {gene: value} -> {file name: text}, the result in the task's own format, or None.
+    shares: population -> how many devices can share a generation or a judgement, along the axis
+    "genome" of `jax.shard_map`; None: all devices of it compute the same.
+    relative: fitness is against a field that moves; Fig. 5 then shows the champions' "score", too.
     """
 
     name: str
@@ -336,6 +339,8 @@ class Task(NamedTuple):
     init: Callable[[Any], Any] = lambda key: ()
     judge: Callable[[Any, Any, Any], dict[str, Any]] | None = None
     files: Callable[[dict[str, float]], dict[str, str]] | None = None
+    shares: Callable[[int], int] | None = None
+    relative: bool = False
 
 
 class Refusal(ValueError):

@@ -110,7 +110,7 @@ def learn(
     if folder is not None:
         from fntg_jax.showing import plots
 
-        plots.fitness_curves(done.history, folder / "fig5.png", done.refined)
+        plots.fitness_curves(done.history, folder / "fig5.png", done.refined, done.strength)
     return done
 
 

@@ -135,4 +135,4 @@ def test_bad_meetings_are_refused(arguments, words, fntg, tmp_path):
 def test_processes_without_work_are_refused(monkeypatch):
     monkeypatch.setattr(parallel.jax, "process_count", lambda: 2)
     with pytest.raises(ValueError, match="seeds = 1: too few for 2 processes"):
-        parallel.make_mesh(1, 240)
+        parallel.make_mesh(1, 1)

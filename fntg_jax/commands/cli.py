@@ -30,6 +30,8 @@ COMMANDS = {
     "localize": "where a robot was, from a log of odometry and landmarks",
     "see": "landmarks in photographs: which, in what direction, how far",
     "match": "two teams, many matches under the referee: goals, wins, statistics",
+    "league": "a round robin of teams: table, ratings, cross table, replays",
+    "bench": "a score card of a team or controller on frozen scenes and matches",
     "say": "a robot's message as sound: a WAV file",
     "listen": "the robots' messages in recorded sounds",
     "doctor": "versions, devices, cache and rendering, against what was tested",

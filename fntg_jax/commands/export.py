@@ -15,13 +15,14 @@ class ExportOptions:
     """Write a controller in another format.  The name of the file says which: .json (the exchange
     format), .py (NumPy only), .h (C99; the time of a call is printed too), .fll (FuzzyLite
     Language), .fis (MATLAB's and Octave's fuzzy toolboxes).  What was written is run on 20 000
-    observations against a float64 reference; the largest errors go to stderr."""
+    observations against a float64 reference; the largest errors go to stderr.  --to stablehlo
+    writes a folder with the whole control of one robot of a team, for other machines."""
 
     controller: Annotated[Path, tyro.conf.Positional]
-    """params.json, an .fll, or a run folder."""
-    out: Annotated[Path, tyro.conf.Positional]
-    """file to write; - for stdout."""
-    to: Literal["", "json", "numpy", "c", "fll", "fis"] = ""
+    """params.json, an .fll, or a run folder; for stablehlo a team."""
+    out: Annotated[Path | None, tyro.conf.Positional] = None
+    """file to write; - for stdout; for stablehlo a folder (default TEAM-stablehlo)."""
+    to: Literal["", "json", "numpy", "c", "fll", "fis", "stablehlo"] = ""
     """format, where it goes to stdout (else json); of a file it has to fit the name."""
     force: bool = False
     """replace a file that fntg export has not written."""
@@ -36,6 +37,11 @@ _MARKS = (b'"format": "fntg-params"', b"Written by fntg-jax", b"Engine: fntg", b
 
 def main(argv: list[str]) -> None:
     options = parse(ExportOptions, argv, "export")
+    if options.to == "stablehlo":
+        _stablehlo(options)
+        return
+    if options.out is None:
+        raise ValueError("out is missing: a file to write, or - for stdout")
     from fntg_jax.files import write_atomically, writing
 
     to_file = str(options.out) != "-"
@@ -48,6 +54,27 @@ def main(argv: list[str]) -> None:
     with writing(options.out, "out"):
         write_atomically(options.out, text.encode())
     say(f"wrote {options.out}")
+
+
+def _stablehlo(options: ExportOptions) -> None:
+    """The folder of `running.stablehlo`."""
+    team = str(options.controller)
+    folder = options.out or Path(f"{Path(team).stem}-stablehlo")
+    ours = (folder / "signature.json").exists()
+    if folder.exists() and not ours and not (folder.is_dir() and not any(folder.iterdir())):
+        raise ValueError(f"out = {folder}: exists, not written by fntg export; choose another")
+    from fntg_jax.running import stablehlo, xla
+
+    xla.configure()
+    try:
+        error = stablehlo.write(team, folder)
+    except OSError as wrong:
+        raise ValueError(f"out = {folder}: {wrong.strerror or wrong}") from None
+    say(f"StableHLO, read back: largest difference over {stablehlo.STEPS} steps {error:.1e}")
+    if error > stablehlo.TOLERANCE:
+        say("fntg: error: that is more than rounding. Please report this")
+        raise SystemExit(1)
+    say(f"wrote {folder}; python {folder / 'run.py'} runs it again without this package")
 
 
 def _format(options: ExportOptions) -> str:

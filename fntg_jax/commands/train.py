@@ -112,15 +112,18 @@ def _train(folder: Path, run: Any, resumed: bool) -> None:
             say(f"continuing after generation {run.generation}")
         _learn(run, folder)
     with writing(folder):
-        if config.scene_pool or config.refine_steps:
+        if config.scene_pool or config.refine_steps or run.problem.blocks > 1:
             what = ", then refining them" if config.refine_steps else ""
-            say(f"choosing the controllers on validation scenes{what} ...")
+            chosen = "controllers on validation scenes" if run.problem.task is None else "genes"
+            say(f"choosing the {chosen}{what} ...")
         with progress_bar("refinement step") as show:
             result = run_folder.finish(
                 folder, run, lambda done, total, best: show(done, total, f"best {best:.4g}")
             )
         if hosts.is_first():
-            figure = plots.fitness_curves(run.history(), folder / "fig5.png", result.refined)
+            figure = plots.fitness_curves(
+                run.history(), folder / "fig5.png", result.refined, result.strength
+            )
     spread = f", median over seeds {np.median(result.fitness):.4g}" if config.seeds > 1 else ""
     if result.judgement:
         judged = {name: x[np.argmax(result.fitness)] for name, x in result.judgement.items()}

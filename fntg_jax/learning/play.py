@@ -32,7 +32,8 @@ class Side(NamedTuple):
     robot, put on its kick-off place (x, y, heading in its team's frame).  control: (team, memory,
     senses) -> (memory, action), one robot, one control step.  truth: `control` takes
     `envs.base.Truth` instead of `envs.base.Senses`.  believe: (team, memory) -> `Belief`, for
-    viewers, or None.  words: names of what it numbers.
+    viewers, or None.  words: names of what it numbers.  both: `control` takes the pair (senses,
+    truth), for a team that may be any of several (`mixture`).
     """
 
     name: str
@@ -42,6 +43,7 @@ class Side(NamedTuple):
     truth: bool = False
     believe: Callable[[Any, Any], Any] | None = None
     words: Words = Words()
+    both: bool = False
 
 
 class Belief(NamedTuple):
@@ -80,12 +82,17 @@ def play(
     away: Side,
     seeds: Int[Array, " M"],
     num_steps: int | None = None,
-    each: bool = False,
+    each: tuple[bool, bool] = (False, False),
+    watch: Callable[[Any, Any], Float[Array, "K M"]] | None = None,
+    axis: str | None = None,
 ) -> Any:
     """Every seed's match from kick-off to the end: the match's statistics, leaves [M, 2].
 
-    num_steps: control steps, default until all is over.  each: `home.team` has a leading axis [M],
-    a team for each match.  M matches go block by block; blocks are filled up with repetitions.
+    num_steps: control steps, default until all is over.  each: whether home.team, away.team has a
+    leading axis [M], a team for each match.  watch: (match, state of a batch) -> K numbers, summed
+    over all steps and returned beside the statistics, [M, K].  axis: inside `jax.shard_map`, the
+    devices along this axis share the blocks, and all get all matches.  M matches go block by block;
+    blocks are filled up with repetitions.
     """
     num = seeds.shape[0]
     most = _BLOCK if jax.default_backend() == "cpu" else _BLOCK_ELSEWHERE
@@ -93,40 +100,67 @@ def play(
     # Whole registers.
     size = -(-num // (16 * blocks)) * 16 if num > 1 else 1
     steps = match.steps if num_steps is None else num_steps
+    like = jax.eval_shape(lambda: match.reset(0, 0)).statistics
 
     def block(first):
         rows = jnp.minimum(first + jnp.arange(size), num - 1)
-        mine = home
-        if each:
-            mine = home._replace(
-                team=jax.tree.map(lambda a: jnp.moveaxis(a[rows], 0, -1), home.team)
-            )
-        state = _last_state(match, mine, away, seeds[rows], steps, each)
+        mine = (
+            side._replace(team=jax.tree.map(lambda a: jnp.moveaxis(a[rows], 0, -1), side.team))
+            if own
+            else side
+            for side, own in zip((home, away), each)
+        )
+        state, watched = _last_state(match, *mine, seeds[rows], steps, each, watch)
         # One array leaves the loop; see `rollout._in_blocks`.
-        leaves = jax.tree.leaves(state.statistics)
-        return jnp.concatenate([leaf.reshape(-1, size) for leaf in leaves])
+        leaves = [leaf.reshape(-1, size) for leaf in jax.tree.leaves(state.statistics)]
+        if watch is not None:
+            leaves.append(jax.lax.bitcast_convert_type(watched, leaves[0].dtype))
+        return jnp.concatenate(leaves)
 
-    rows = jax.lax.map(block, size * jnp.arange(-(-num // size)))
+    blocks = -(-num // size)
+    if axis is None:
+        rows = jax.lax.map(block, size * jnp.arange(blocks))
+    else:
+        # Every device gets as many blocks; the surplus repeats the last match.
+        share = -(-blocks // jax.lax.axis_size(axis))
+        mine = share * jax.lax.axis_index(axis) + jnp.arange(share)
+        rows = jax.lax.all_gather(jax.lax.map(block, size * mine), axis, tiled=True)
     flat = jnp.moveaxis(rows, 1, -1).reshape(-1, rows.shape[1])[:num]
-    like = jax.eval_shape(lambda: match.reset(0, 0)).statistics
     sizes = [leaf.shape[0] for leaf in jax.tree.leaves(like)]
     ends = [sum(sizes[: k + 1]) for k in range(len(sizes))]
     parts = [flat[:, end - n : end] for n, end in zip(sizes, ends)]
-    return jax.tree.unflatten(jax.tree.structure(like), parts)
+    statistics = jax.tree.unflatten(jax.tree.structure(like), parts)
+    if watch is None:
+        return statistics
+    return statistics, jax.lax.bitcast_convert_type(flat[:, ends[-1] :], jnp.float32)
 
 
-def _last_state(match, home, away, seeds, steps, each):
+def num_blocks(num: int) -> int:
+    """Into how many blocks `num` matches are cut: as many devices can share them."""
+    return -(-num // (_BLOCK if jax.default_backend() == "cpu" else _BLOCK_ELSEWHERE))
+
+
+def _last_state(match, home, away, seeds, steps, each, watch):
     state = match.reset(kickoffs(seeds), seeds)
     memory = begin(match, home, away, state, each)
+    look = (lambda state: 0.0) if watch is None else lambda state: watch(match, state)
 
     def step(carry, _):
-        return control_step(match, home, away, carry, each)[0], None
+        both, watched = carry
+        both = control_step(match, home, away, both, each)[0]
+        return (both, watched + look(both[0])), None
 
-    (state, _), _ = jax.lax.scan(step, (state, memory), None, length=steps)
-    return state
+    first = jax.tree.map(jnp.zeros_like, look(state))
+    ((state, _), watched), _ = jax.lax.scan(step, ((state, memory), first), None, length=steps)
+    return state, watched
 
 
-def begin(match: Any, home: Side, away: Side, state: Any, each: bool = False) -> tuple[Any, Any]:
+_ONE = (False, False)
+
+
+def begin(
+    match: Any, home: Side, away: Side, state: Any, each: tuple[bool, bool] = _ONE
+) -> tuple[Any, Any]:
     """Memories of both teams' robots at a kick-off, leaves [..., N B]."""
     poses = match.truth_batch(state).pose
     shirts = jnp.arange(match.players, dtype=jnp.int32)
@@ -136,22 +170,23 @@ def begin(match: Any, home: Side, away: Side, state: Any, each: bool = False) ->
             jnp.repeat(shirts, poses.shape[-1]),
             _of_team(poses, match, k),
         )
-        for k, (side, own) in enumerate(((home, each), (away, False)))
+        for k, (side, own) in enumerate(zip((home, away), each))
     )  # type: ignore[return-value]
 
 
-def control_step(match: Any, home: Side, away: Side, carry: Any, each: bool = False):
+def control_step(match: Any, home: Side, away: Side, carry: Any, each: tuple[bool, bool] = _ONE):
     """One control step of a batch: ((state, memories), action) after both teams have acted.
 
     Robots and matches are one flat axis, the last, for the teams: their inner loops then run over
     contiguous numbers."""
     state, memories = carry
-    needed = {side.truth for side in (home, away)}
-    truth = match.truth_batch(state) if True in needed else None
-    senses = match.sense_batch(state) if False in needed else None
+    sides = (home, away)
+    truth = match.truth_batch(state) if any(s.truth or s.both for s in sides) else None
+    senses = match.sense_batch(state) if any(s.both or not s.truth for s in sides) else None
     after, actions = [], []
-    for k, (side, own) in enumerate(((home, each), (away, False))):
-        given = jax.tree.map(lambda a, k=k: _of_team(a, match, k), truth if side.truth else senses)
+    for k, (side, own) in enumerate(zip(sides, each)):
+        given = (senses, truth) if side.both else truth if side.truth else senses
+        given = jax.tree.map(lambda a, k=k: _of_team(a, match, k), given)
         team = _spread(side.team, match, state.robots.x) if own else side.team
         memory, action = jax.vmap(side.control, in_axes=(-1 if own else None, -1, -1), out_axes=-1)(
             team, memories[k], given

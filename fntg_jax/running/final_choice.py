@@ -18,7 +18,7 @@ from fntg_jax.running.problem import Problem
 
 _SCREENING = 256  # validation scenes for a first look at the whole population
 _FINALISTS = 16
-_JUDGE = 0x1D6E  # folded into a seed's key
+JUDGE = 0x1D6E  # folded into a seed's key
 _VALIDATE_EVERY = 20  # steps of covariance adaptation
 
 
@@ -43,7 +43,9 @@ class Result(NamedTuple):
     the last population (or its refinement) that is best on validation scenes of their own.
 
     In tasks with a judgement: the individual of the last population with the best "score" of it,
-    which is its fitness here.  judgement: all numbers [S], from other draws than the choice.
+    which is its fitness here (`judged`).  judgement: all numbers [S], from other draws than the
+    choice.  strength: where fitness is relative, generations [n] and their champions' scores
+    [S, n].
     """
 
     theta: np.ndarray
@@ -51,6 +53,7 @@ class Result(NamedTuple):
     bits: np.ndarray | None
     refined: np.ndarray | None
     judgement: dict[str, np.ndarray] | None = None
+    strength: tuple[np.ndarray, np.ndarray] | None = None
 
 
 def conclude(evolved: Evolved, show: Callable[[int, int, float], None]) -> Result:
@@ -61,8 +64,6 @@ def conclude(evolved: Evolved, show: Callable[[int, int, float], None]) -> Resul
     """
     problem, rows = evolved.problem, evolved.rows
     config, task = problem.config, problem.task
-    if task is not None and task.judge is not None:
-        return _judged(evolved, task.judge)
     if task is not None or (config.scene_pool == 0 and config.refine_steps == 0):
         bits, value = rows.gather((evolved.state.best_bits, evolved.state.best_fitness))
         theta = genome.decode(bits, config.ga.num_bits, config.ga.gray)
@@ -79,30 +80,6 @@ def conclude(evolved: Evolved, show: Callable[[int, int, float], None]) -> Resul
     # Costs with gamma: for their order it does not matter.
     theta, cost, history = refine(evolved, theta, to_cost(value, 0), show)
     return Result(theta, from_cost(cost, 0), None, from_cost(history, 0))
-
-
-def _judged(evolved: Evolved, judge: Any) -> Result:
-    problem, rows, coding = evolved.problem, evolved.rows, evolved.problem.config.ga
-    names: list[str] = []
-
-    def one_seed(shared, state):
-        del shared
-        theta = problem.in_units(genome.decode(state.bits, coding.num_bits, coding.gray))
-        k_choice, k_report = jax.random.split(jax.random.fold_in(state.key, _JUDGE))
-        value = judge(k_choice, theta, state.memory)["score"]
-        best = _best_first(value)[0]
-        numbers = judge(k_report, theta[best][None], state.memory)
-        names[:] = numbers  # jax would sort a dict by its names
-        return theta[best], value[best], best, [x[0] for x in numbers.values()]
-
-    with problem.code():
-        program = jax.jit(over_seeds(one_seed, rows.mesh))
-        arguments = ((), (evolved.state,))
-        found = rows.compile(program, arguments)(*arguments)
-    theta, value, row, numbers = rows.gather(found)
-    bits = rows.gather(evolved.state.bits)[np.arange(rows.num), row]
-    value = np.where(np.isfinite(value), value, 0)  # what is not finite counts as 0
-    return Result(theta, value, bits, None, dict(zip(names, numbers)))
 
 
 def _choose(state, floats, scenes, validation, *, config, static, mesh):

@@ -14,22 +14,21 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
 from fntg_jax.learning.objective import AXIS
-from fntg_jax.learning.rollout import num_blocks
 from fntg_jax.running import hosts, memory
 
 GENOME = AXIS
 
 
-def make_mesh(num_seeds: int, num_trials: int) -> Mesh:
+def make_mesh(num_seeds: int, blocks: int) -> Mesh:
     """Devices by axes "seed" and "genome".
 
     A generation's trials (genomes x scenes) are shared only among devices that the seeds leave
-    idle, and only where it has a block for each of them: with less, waiting for each other costs
-    what it saves (the paper's generation, 240 trials, is one block and 2 ms).
+    idle, and only where it has a block for each of them (`Problem.blocks`): with less, waiting for
+    each other costs what it saves (the paper's generation, 240 trials, is one block and 2 ms).
     """
     devices = np.asarray(jax.devices())
     num = min(num_seeds, len(devices))
-    share = min(len(devices) // num, num_blocks(num_trials))
+    share = min(len(devices) // num, blocks)
     chosen = devices[: num * share]
     idle = jax.process_count() - len({d.process_index for d in chosen})
     if idle:

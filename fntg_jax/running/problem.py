@@ -10,6 +10,7 @@ from envs.base import Task
 from fntg_jax.controller.layout import HIGH, LOW, get_layout
 from fntg_jax.learning import objective
 from fntg_jax.learning.objective import VALIDATION, Static, Traced
+from fntg_jax.learning.rollout import num_blocks
 from fntg_jax.running import settings
 from fntg_jax.running.registry import code_of, get_suite, get_task, get_world
 from fntg_jax.running.settings import TrainConfig
@@ -18,7 +19,10 @@ _POOL_KEY = 0x9001  # of the scenes of training and validation; evaluation draws
 
 
 # Fields of a configuration that every task has; the others are those of bioa.
-_COMMON = ("task", "task_options", "seeds", "first_seed", "generations", "ga", "initial")
+_COMMON = (
+    *("task", "task_options", "seeds", "first_seed", "generations", "ga", "initial"),
+    *("refine_steps", "refine_method"),
+)
 
 
 class Problem(NamedTuple):
@@ -52,6 +56,14 @@ class Problem(NamedTuple):
     def task_of(self, traced: Traced) -> Task:
         """The task, also inside a compiled program."""
         return objective.bioa(self.static, traced) if self.task is None else self.task
+
+    @property
+    def blocks(self) -> int:
+        """How many devices can share a generation."""
+        population = self.config.ga.population
+        if self.task is None:
+            return num_blocks(population * self.config.num_scenes)
+        return 1 if self.task.shares is None else self.task.shares(population)
 
     def in_units(self, theta: Any) -> Any:
         """Genes [..., genes] from (-5, 5) to their own ranges."""
@@ -137,6 +149,11 @@ def resolve(config: TrainConfig, task: Task | None = None) -> Problem:
                 f"{field.name} = {value!r}: belongs to task bioa; task {config.task!r} has none"
             )
     found = get_task(config.task)(**config.task_options) if task is None else task
+    if config.refine_steps and (found.judge is None or config.refine_method != "cma"):
+        raise ValueError(
+            f"refine_steps = {config.refine_steps}: task {config.task!r} is refined by "
+            "refine_method = 'cma' alone, and where it has a judgement"
+        )
     check_genes(found)
     return Problem(config, tuple(found.genes), found)
 

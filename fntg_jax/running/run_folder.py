@@ -105,6 +105,7 @@ def finish(
             "theta": result.theta,
             "fitness": result.fitness,
             **({} if result.refined is None else {"refined": result.refined}),
+            **_strength(result),
             **{f"judged_{name}": x for name, x in (result.judgement or {}).items()},
         },
     )
@@ -125,6 +126,12 @@ def finish(
     }
     _write_json(folder / "provenance.json", provenance() | took)
     return result
+
+
+def _strength(result: Result) -> dict[str, np.ndarray]:
+    if result.strength is None:
+        return {}
+    return dict(zip(("strength_generation", "strength"), result.strength))
 
 
 def load_history(folder: Path) -> History:

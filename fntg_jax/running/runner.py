@@ -18,7 +18,7 @@ from envs.base import Task
 from fntg_jax.controller import genome
 from fntg_jax.learning import ga
 from fntg_jax.learning.rollout import EPISODE_STEPS
-from fntg_jax.running import final_choice, hosts, memory, warmstart
+from fntg_jax.running import final_choice, hosts, judged, memory, warmstart
 from fntg_jax.running.final_choice import Evolved, Result
 from fntg_jax.running.parallel import Rows, make_mesh, over_seeds
 from fntg_jax.running.problem import Problem, resolve
@@ -67,9 +67,8 @@ class Run:
 
     def __init__(self, problem: Problem, variants: Sequence[TrainConfig] = ()):
         self.problem, config = problem, problem.config
-        num_trials = config.ga.population * config.num_scenes
         num_rows = config.seeds * max(len(variants), 1)
-        self.rows = Rows(make_mesh(num_rows, num_trials), num_rows)
+        self.rows = Rows(make_mesh(num_rows, problem.blocks), num_rows)
         # All seeds share the pool, so that a seed's result does not depend on its company.
         with problem.code():
             scenes, validation = problem.scenes()
@@ -182,6 +181,9 @@ class Run:
         evolved = Evolved(
             self.problem, self.rows, self.state, self.traced, self.scenes, self.validation
         )
+        task = self.problem.task
+        if task is not None and task.judge is not None:
+            return judged.conclude(evolved, self.history().best_bits, show)
         return final_choice.conclude(evolved, show)
 
 

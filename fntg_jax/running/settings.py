@@ -21,7 +21,8 @@ from fntg_jax.learning.objective import POOL
 class TrainConfig:
     """One learning run, or several that differ in their seed.
 
-    Those from env to warm_start, refine_* and the weights are of task bioa alone.
+    Those from env to warm_start, the weights, refine_scenes, refine_rate and refine_top are of task
+    bioa alone.
 
     Attributes:
         task: what is learnt, by its entry point name: bioa (the paper's), gait, ...
@@ -41,8 +42,9 @@ class TrainConfig:
         generations: populations evaluated.
         warm_start: run folder (of any world) or parameter file with the same layout to start from
             instead of random populations.
-        initial: first population: "uniform": any genome; "partition": membership functions that
-            divide the range of their input, as fuzzy tools start from.
+        initial: first population: "uniform": any genome; "partition": where the genes say:
+            membership functions that divide the range of their input, as fuzzy tools start from; a
+            team's genes near those by hand.
         ga: genetic algorithm.
         refine_steps: steps of refinement after evolution; 0 for none.
         refine_method: "gradient": reverse mode and Adam; "cma": covariance matrix adaptation.
@@ -110,6 +112,21 @@ PRESETS = {
         refine_method="cma",
         refine_scenes=64,
         refine_top=2,
+    ),
+    # The paper's population and generations on whole matches (docs/team.md).
+    "team": TrainConfig(
+        task="team",
+        initial="partition",
+        ga=GAConfig(
+            gray=True,
+            selection="tournament",
+            tournament_size=3,
+            mutation_rate=0.01,
+            mutation_decay=0.3,
+            crossover_rate=0.9,
+            num_elites=2,
+        ),
+        refine_method="cma",
     ),
 }
 

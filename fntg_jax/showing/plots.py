@@ -75,12 +75,18 @@ def save(figure: Any, path: str | Path) -> Path:
     return path.with_suffix(".png")
 
 
-def fitness_curves(history: Any, path: str | Path, refined: np.ndarray | None = None) -> Path:
+def fitness_curves(
+    history: Any,
+    path: str | Path,
+    refined: np.ndarray | None = None,
+    strength: tuple[np.ndarray, np.ndarray] | None = None,
+) -> Path:
     """Fig. 5: best ("EC max") and average ("EC av") fitness by generation.
 
     history: best, mean [seed, generation].  Single runs as thin lines; with several seeds the
     median and its 95 % bootstrap band.  refined: [seed, n] validated fitness in the course of the
-    refinement, which continues the figure.
+    refinement, which continues the figure.  strength: generations [n] and their champions' scores
+    against fixed opponents [seed, n], where fitness is relative.
     """
     figure, axes = _new(5.2, 3.6)
     seeds, generations = history.best.shape
@@ -99,6 +105,10 @@ def fitness_curves(history: Any, path: str | Path, refined: np.ndarray | None = 
     if seeds > 1:
         note = f"{seeds} seeds (thin lines); band: 95 % bootstrap interval of the median"
         axes.set_title(note, fontsize=9, loc="left")
+    if strength is not None:
+        axes.plot(strength[0], strength[1].T, color=GREEN, alpha=0.3, linewidth=0.8)
+        label = "champion against fixed opponents, held-out"
+        axes.plot(strength[0], np.median(strength[1], axis=0), color=GREEN, label=label)
     end = generations
     if refined is not None:
         end = round(1.25 * generations)
@@ -110,7 +120,9 @@ def fitness_curves(history: Any, path: str | Path, refined: np.ndarray | None = 
     axes.set_xlabel("generation" if refined is None else "generation, then refinement")
     axes.set_ylabel("fitness $F$")
     axes.set_xlim(0, end)
-    if seeds == 1:
+    if strength is not None:
+        axes.set_ylim(0, 1)
+    elif seeds == 1:
         axes.set_ylim(bottom=0)
     else:
         axes.set_yscale("log")  # single runs differ by factors: on a linear axis one hides all
