@@ -59,7 +59,7 @@ def test_table_and_cross():
 
 
 def test_a_mixture_plays_as_its_members():
-    match = matches.get_match("soccer", players=1, minutes=0.1)
+    match = matches.get_match("soccer", players=1, minutes=0.5)
     names = ("random", "chaser", "still")
     home, away = (
         mixture([matches.get_team(name, match, side) for name in names]) for side in (0, 1)
