@@ -32,7 +32,7 @@ def main(argv: list[str]) -> None:
     if options.out is not None and (options.out.is_dir() or not options.out.parent.is_dir()):
         raise ValueError(f"out = {options.out}: allowed is a file in a folder that exists")
     xla.configure(num_cpu_devices=len(os.sched_getaffinity(0)))
-    from fntg_jax.files import write_atomically
+    from fntg_jax.files import write_atomically, writing
     from fntg_jax.running import bench
 
     if bench.is_team(options.member):
@@ -49,8 +49,6 @@ def main(argv: list[str]) -> None:
         say(f"note: share {options.share:g} of version {bench.VERSION}: no score card to cite")
     text = json.dumps(card, indent=1, allow_nan=False) + "\n"
     if options.out is not None:
-        try:
+        with writing(options.out, "out"):
             write_atomically(options.out, text.encode())
-        except OSError as error:
-            raise ValueError(f"out = {options.out}: {error.strerror or error}") from None
     print(text, end="")

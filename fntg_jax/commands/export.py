@@ -63,13 +63,12 @@ def _stablehlo(options: ExportOptions) -> None:
     ours = (folder / "signature.json").exists()
     if folder.exists() and not ours and not (folder.is_dir() and not any(folder.iterdir())):
         raise ValueError(f"out = {folder}: exists, not written by fntg export; choose another")
+    from fntg_jax.files import writing
     from fntg_jax.running import stablehlo, xla
 
     xla.configure()
-    try:
+    with writing(folder, "out"):
         error = stablehlo.write(team, folder)
-    except OSError as wrong:
-        raise ValueError(f"out = {folder}: {wrong.strerror or wrong}") from None
     say(f"StableHLO, read back: largest difference over {stablehlo.STEPS} steps {error:.1e}")
     if error > stablehlo.TOLERANCE:
         say("fntg: error: that is more than rounding. Please report this")

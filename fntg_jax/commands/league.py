@@ -41,7 +41,7 @@ def main(argv: list[str]) -> None:
     if not 0.01 <= options.minutes <= 16:
         raise ValueError(f"minutes = {options.minutes}: allowed are 0.01 to 16 a half")
     xla.configure(num_cpu_devices=len(os.sched_getaffinity(0)))
-    from fntg_jax.files import write_atomically
+    from fntg_jax.files import write_atomically, writing
     from fntg_jax.running import league, matches
     from fntg_jax.showing import league_page
 
@@ -62,10 +62,10 @@ def main(argv: list[str]) -> None:
     )
     say(f"{time.perf_counter() - started:.1f} s, compiling included")
     rows = league.table(played, options.seed)
-    try:
+    with writing(folder, "out"):
         folder.mkdir(parents=True, exist_ok=True)
-        league_page.write_csv(rows, folder / "league.csv")
-        league_page.write_matches(played, folder / "matches.csv")
+        write_atomically(folder / "league.csv", league_page.table_csv(rows))
+        write_atomically(folder / "matches.csv", league_page.matches_csv(played))
         league_page.figure(played, rows, folder / "cross.png")
         replays = []
         for file, title, which in (
@@ -87,8 +87,6 @@ def main(argv: list[str]) -> None:
         )
         page = league_page.page(rows, about, replays)
         write_atomically(folder / "index.html", page.encode())
-    except OSError as error:
-        raise ValueError(f"out = {folder}: {error.strerror or error}") from None
     print(league_page.as_text(rows), end="")
     say(f"page {folder / 'index.html'}")
 

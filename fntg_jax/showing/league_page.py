@@ -1,40 +1,34 @@
 """What a league came to: CSV, cross table as a picture, and a page with links to replays."""
 
-import csv
 import html
-import io
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from fntg_jax.files import write_atomically
+from fntg_jax.files import csv_table
 from fntg_jax.running.league import Played, Row, cross
 from fntg_jax.showing import plots
 
 _HEAD = ("team", "matches", "wins", "draws", "losses", "goals", "against", "points", "rating", "sd")
 
 
-def write_csv(rows: Sequence[Row], path: Path) -> None:
-    """The table, a line for each team.  Raises OSError."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_HEAD)
-    writer.writerows([*row[:-2], f"{row.rating:.4f}", f"{row.uncertainty:.4f}"] for row in rows)
-    write_atomically(path, text.getvalue().encode())
+def table_csv(rows: Sequence[Row]) -> bytes:
+    """The table, a line for each team."""
+    numbers = ([*row[:-2], f"{row.rating:.4f}", f"{row.uncertainty:.4f}"] for row in rows)
+    return csv_table(_HEAD, numbers)
 
 
-def write_matches(played: Played, path: Path) -> None:
-    """Every match, a line for each.  Raises OSError."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
+def matches_csv(played: Played) -> bytes:
+    """Every match, a line for each."""
     names = [f"{name}_{side}" for name in played.statistics for side in ("home", "away")]
-    writer.writerow(["match", "seed", "home", "away", *names])
-    columns = np.concatenate(list(played.statistics.values()), axis=1)
-    for n, values in enumerate(columns):
-        pair = played.teams[played.home[n]], played.teams[played.away[n]]
-        writer.writerow([n, played.seeds[n], *pair, *values.tolist()])
-    write_atomically(path, text.getvalue().encode())
+    columns = np.concatenate(list(played.statistics.values()), axis=1).tolist()
+    pairs = zip(played.seeds, played.home, played.away, columns)
+    rows = (
+        [n, seed, played.teams[home], played.teams[away], *values]
+        for n, (seed, home, away, values) in enumerate(pairs)
+    )
+    return csv_table(["match", "seed", "home", "away", *names], rows)
 
 
 def as_text(rows: Sequence[Row]) -> str:
