@@ -16,7 +16,7 @@ import time
 
 from fntg_jax.running import xla
 
-BLOCK = 128
+BLOCK = 64
 SIZES = (1, 16, 128, 1024, 8192, 100_000)
 
 

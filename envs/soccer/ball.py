@@ -6,6 +6,7 @@ the thinnest body in one of them, so that it can't pass through.
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
@@ -93,12 +94,13 @@ def contact(ball: RollingBall, boxes: Boxes, radius: float) -> tuple[Any, Any, A
     cx = lx - middle
     qx, qy = jnp.abs(cx) - (half - CORNER), jnp.abs(ly) - (boxes.half_width - CORNER)
     ox, oy = jnp.maximum(qx, 0), jnp.maximum(qy, 0)
-    outside = distance(ox, oy)
+    gap2 = jnp.maximum(ox * ox + oy * oy, 1e-20)
+    one = jax.lax.rsqrt(gap2)
     within = (qx <= 0) & (qy <= 0)
     along = qx > qy
-    depth = CORNER + radius - jnp.where(within, jnp.maximum(qx, qy), outside)
-    nx = jnp.where(within, jnp.where(along, 1.0, 0.0), ox / outside)
-    ny = jnp.where(within, jnp.where(along, 0.0, 1.0), oy / outside)
+    depth = CORNER + radius - jnp.where(within, jnp.maximum(qx, qy), gap2 * one)
+    nx = jnp.where(within, jnp.where(along, 1.0, 0.0), ox * one)
+    ny = jnp.where(within, jnp.where(along, 0.0, 1.0), oy * one)
     nx, ny = jnp.where(cx < 0, -nx, nx), jnp.where(ly < 0, -ny, ny)
     return jnp.where(boxes.on, depth, -1.0), nx, ny, ly
 
