@@ -19,6 +19,7 @@ from fntg_jax.robot.components import Runs, runs
 
 _RUNS = 1024  # of a picture; rendered ones have up to 400, and what has more is no field
 _PINK, _BALLS, _GOALS, _ROBOTS = 6, 2, 3, 3  # components of a colour that are looked at
+_SURE = 0.5  # mean share of pixels of their colours that are of this class
 _SMALLEST = 9  # pixels of a component; a ball at 2 m has about 30
 _SECTORS = 11  # directions for which the nearest obstacle is told
 _LINE = 9  # rows: what is white for longer is no line of the floor
@@ -149,7 +150,7 @@ def _see(picture, table: Colours, team: Team, field: Field, camera: Camera) -> S
         round_ = 2 * jnp.sqrt(k.size / math.pi)
         broad = jnp.where(whole & ~cut, round_, jnp.maximum(wide, tall))
         seen = (k.size > 0.35 * wide * tall) & (wide < 3 * tall) & (tall < 3 * wide)
-        seen &= (k.size > 0) & (k.sure > 0.5)
+        seen &= (k.size > 0) & (k.sure > _SURE)
         x, y = 0.5 * (k.x0 + k.x1), 0.5 * (k.y0 + k.y1)
         broad = span(x - 0.5 * broad, y, x + 0.5 * broad, y)
         balls.append((*angles(x, y), broad, seen, k.sure))
@@ -174,7 +175,7 @@ def _see(picture, table: Colours, team: Team, field: Field, camera: Camera) -> S
         best = jnp.argmax(good)
         i, j = best // good.shape[1], best % good.shape[1]
         sure = good.max()
-        seen = sure > 0.5
+        seen = sure > _SURE
         px, py, qx, qy = p.x[i, 0], p.y[i, 0], b.x[j], b.y[j]
         band |= seen & (b.name == b.name[j])
         x, y = 0.5 * (px + qx), 0.5 * (py + qy)
@@ -185,7 +186,7 @@ def _see(picture, table: Colours, team: Team, field: Field, camera: Camera) -> S
     free = []
     for colour in (team.own_goal, team.their_goal):
         (g,) = largest(rest, colour, 1)
-        seen = (g.size > 60) & (g.sure > 0.5)
+        seen = (g.size > 60) & (g.sure > _SURE)
         x, y = 0.5 * (g.x0 + g.x1), 0.5 * (g.y0 + g.y1)
         tall = g.y1 - g.y0
         rows.append((*angles(x, y), span(x, y - 0.5 * tall, x, y + 0.5 * tall), seen, g.sure))
@@ -199,7 +200,7 @@ def _see(picture, table: Colours, team: Team, field: Field, camera: Camera) -> S
     # Robots: uniforms, largest first.
     for colour, number in ((team.mates, 2), (team.opponents, 3)):
         for u in largest(b, colour, number):
-            seen = (u.size >= 2 * _SMALLEST) & (u.sure > 0.5)
+            seen = (u.size >= 2 * _SMALLEST) & (u.sure > _SURE)
             wide = u.x1 - u.x0
             # The uniform is 0.17 x 0.13 m, a robot about 0.22 m.
             size = 1.4 * span(u.x - 0.5 * wide, u.y, u.x + 0.5 * wide, u.y)
