@@ -137,8 +137,8 @@ def kicks(env, num: int, seed: int) -> list[dict[str, Any]]:
         motion = motions.load(path, motions.standing(env))
         points = motions.set_points(motion, env.solver.timestep)
         balls = motions.displaced(np.random.default_rng(seed), np.array(file["ball"]), num)
-        found = [motions.kick(env, points, motion.strike, ball) for ball in balls]
-        velocity = np.array([k.ball for k in found])
+        found = motions.kick(env, points, motion.strike, balls)
+        velocity = found.ball
         speed = np.hypot(*velocity.T)
         hit = speed >= 0.05
         angle = np.arctan2(velocity[hit, 1], velocity[hit, 0])
@@ -151,8 +151,8 @@ def kicks(env, num: int, seed: int) -> list[dict[str, Any]]:
         row |= {"half_metre_a_second": np.mean(speed >= 0.5)}
         row |= {"within_0.35_rad": np.mean(np.abs(angle - np.median(angle)) <= 0.35)}
         row |= {"run_out": float(np.mean(speed**2) / (2 * float(env.ball_deceleration)))}
-        row |= {"falls": np.mean([k.upright < 0.7 or k.height < 0.05 for k in found])}
-        row |= {"joint_speed_ratio_p99": max(k.speed for k in found)}
+        row |= {"falls": np.mean((found.upright < 0.7) | (found.height < 0.05))}
+        row |= {"joint_speed_ratio_p99": found.speed.max()}
         rows.append({k: np.round(x, 3).tolist() if k != "name" else x for k, x in row.items()})
     return rows
 

@@ -20,7 +20,7 @@ from envs.quadruped import constants as c
 from envs.quadruped import mjcf, physics
 from envs.quadruped.environment import Quadruped, State
 
-_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
+PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _INPUT = (
     mujoco.mjtState.mjSTATE_CTRL
     | mujoco.mjtState.mjSTATE_QFRC_APPLIED
@@ -110,7 +110,7 @@ def run(
         new = jax.vmap(env.accept)(state, qpos, qvel, turns - jnp.floor(turns), stride, set_points)
         return new, measure(new)
 
-    size = mujoco.mj_stateSize(model, _PHYSICS)
+    size = mujoco.mj_stateSize(model, PHYSICS)
     seen, record = measure(state), []
     commands, paths = [], []
     kept = np.round(np.arange(1, poses + 1) * env.solver.substeps / poses).astype(int) - 1

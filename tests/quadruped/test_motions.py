@@ -24,7 +24,7 @@ def test_shipped_motions_keep_to_limits_and_end_on_their_feet(name, env):
     assert np.all(points >= motions.LOW - 1e-6) and np.all(points <= motions.HIGH + 1e-6)
     speed = np.abs(np.diff(points, axis=0)) / env.solver.timestep
     assert np.all(speed <= 1.002 * motions.SPEED)
-    end = motions.kick(env, points, motion.strike, np.array([0.8, 0.6]))
+    end = motions.kick(env, points, motion.strike, np.array([[0.8, 0.6]]))
     assert end.upright > 0.7 and end.height > 0.05
     np.testing.assert_allclose(end.ball, 0, atol=1e-3)  # it lies elsewhere
 
@@ -33,7 +33,7 @@ def test_the_forward_kick_sends_the_ball_ahead(env):
     motion = motions.load("forward", motions.standing(env))
     points = motions.set_points(motion, env.solver.timestep)
     place = json.loads((motions.FOLDER / "forward.json").read_text())["ball"]
-    ball = motions.kick(env, points, motion.strike, np.array(place)).ball
+    ball = motions.kick(env, points, motion.strike, np.array([place])).ball[0]
     assert ball[0] > 0.1 and abs(ball[1]) < 0.1
     # The committed table is of the shipped kick.
     table = json.loads((motions.FOLDER.parent / "kicks.json").read_text())["kicks"]
@@ -71,3 +71,23 @@ def test_a_motion_that_no_servo_could_do_is_refused(frames, message, tmp_path, e
 def test_an_unknown_motion_is_named(env):
     with pytest.raises(ValueError, match="motion = 'somersault': known are forward"):
         motions.load("somersault", motions.standing(env))
+
+
+def test_dropped_dogs_get_up(env):
+    fallen = motions.dropped(env, np.random.default_rng(3), 12)
+    shown = motions.accelerometer(fallen)
+    assert np.sum(shown[:, 2] < 0.7) >= 6  # it is no test of standing dogs
+    stands, end = motions.get_up(env, fallen)
+    assert stands.sum() >= 11
+    np.testing.assert_allclose(motions.accelerometer(end)[stands, 2], 1, atol=0.1)
+
+
+def test_the_mirror_image_of_set_points_is_that_of_the_joints():
+    points = np.arange(17.0)
+    image = motions.mirrored(points)
+    by_name = dict(zip(motions.JOINTS, points))
+    for joint, value in zip(motions.JOINTS, image):
+        other = {"l": "r", "r": "l"}[joint[0]] + joint[1:] if joint[1] in "fh" else joint
+        sign = -1 if joint in ("head_pan", "head_roll", "tail_pan") else 1
+        assert value == sign * by_name[other], joint
+    np.testing.assert_array_equal(motions.mirrored(image), points)
