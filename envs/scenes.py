@@ -53,6 +53,7 @@ _STANDS = 24  # directions looked at around a ball
 # elsewhere, so that a scene without any valid candidate practically does not happen (about 1e-9).
 _CANDIDATES = 64
 _CANDIDATES_RARE = 128
+_BATCH = 2048  # scenes drawn at once, 0.3 GB at most
 _HORIZON = 22.0  # s, an episode
 _INSTANTS = 111  # of an episode, looked at where something moves
 
@@ -175,7 +176,15 @@ def _draw(
         rolling=rolling,
         walking=walking,
     )
-    return jax.vmap(draw)(jax.random.split(key, num_scenes))
+    keys = jax.random.split(key, num_scenes)
+    if num_scenes <= _BATCH:
+        return jax.vmap(draw)(keys)
+    # The candidates of a scene take up to 130 kB: of many scenes, only a batch of them is there.
+    # The last batch is filled up with copies, so that one program does for all.
+    num = -(-num_scenes // _BATCH)
+    row = jnp.minimum(jnp.arange(num * _BATCH), num_scenes - 1).reshape(num, _BATCH)
+    drawn = jax.lax.map(lambda rows: jax.vmap(draw)(keys[rows]), row)
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:num_scenes], drawn)
 
 
 def _draw_one(key, *, margins, num_obstacles, blocked, rolling, walking) -> Scene:

@@ -7,11 +7,15 @@ import errno
 import io
 import json
 import os
+import re
 import stat
 import tempfile
+import zipfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 
 def write_atomically(path: str | Path, data: bytes) -> None:
@@ -87,23 +91,54 @@ def inert_json(value: Any) -> str:
     return text
 
 
-def read_text(path: str | Path, what: str) -> str:
-    """The text of a small file of ours.
+def read_bytes(path: str | Path, what: str, most: int = 1_000_000) -> bytes:
+    """What is in a regular file.
 
     what: "parameter file", "team file": what a larger file is not.  Raises ValueError in one line
-    when it cannot be read, is over 1 MB (a real one has about 10 kB) or is not UTF-8.
+    when it cannot be read, is over `most` bytes, or is a FIFO or device, which might have no end.
     """
     try:
-        with open(path, "rb") as file:
-            data = file.read(_MAX_BYTES + 1)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        # Not waiting for the writer of a FIFO.
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise ValueError("not a regular file")
+            data = file.read(most + 1)
+    except (OSError, ValueError) as error:  # ValueError: also a NUL in the name
         raise ValueError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
-    if len(data) > _MAX_BYTES:
-        raise ValueError(f"{path}: over {_MAX_BYTES} bytes, not a {what}")
+    if len(data) > most:
+        raise ValueError(f"{path}: over {most} bytes, not a {what}")
+    return data
+
+
+def read_text(path: str | Path, what: str, most: int = 1_000_000) -> str:
+    """The text of a small file of ours: as `read_bytes`, in UTF-8."""
     try:
-        return data.decode()
+        return read_bytes(path, what, most).decode()
     except UnicodeDecodeError:
         raise ValueError(f"{path}: not UTF-8 text") from None
 
 
-_MAX_BYTES = 1_000_000
+def read_arrays(data: bytes, most: int) -> dict[str, np.ndarray]:
+    """The arrays of an .npz file.
+
+    most: bytes that they may take unpacked, as the archive itself says and the reader holds it to.
+    Raises ValueError in one line when there are more, or the archive is damaged.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        if size > most:
+            raise ValueError(f"{size} bytes unpacked: allowed are {most}")
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
+            return dict(file)
+    except Exception as error:  # a damaged archive raises almost anything
+        raise ValueError(str(error) or type(error).__name__) from error
+
+
+def sweep(folder: Path, names: Iterable[str]) -> None:
+    """Remove what a killed process left of `write_atomically` in a folder, for files of these
+    names.  Only where nobody else is writing them."""
+    ends = "[a-z0-9_]{8}"
+    for path in folder.iterdir():
+        if any(re.fullmatch(rf"\.{re.escape(name[:40])}\.{ends}", path.name) for name in names):
+            path.unlink(missing_ok=True)

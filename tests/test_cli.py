@@ -239,7 +239,7 @@ def refused(capsys, tmp_path, monkeypatch):
         (("--seeds", -1), ("seeds", "-1")),
         (("--first-seed", 2**32), ("first_seed", "4294967296")),
         (("--num-scenes", 0), ("num_scenes", "0")),
-        (("--scene-pool", 3 * 10**9), ("scene_pool", "10000000")),
+        (("--scene-pool", 3 * 10**9), ("scene_pool", "1000000")),
         (("--suite", "open:1e308,blocked:1"), ("share of suite open", "1e+308", "1e6")),
         (("--output", "tanh"), ("tanh", "scale", "clip")),
         (("--suite", "moon"), ("moon", "open")),

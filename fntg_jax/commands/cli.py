@@ -1,8 +1,8 @@
 """The `fntg` command: dispatch, option parsing, error messages.
 
 Results go to stdout, words and progress to stderr; exit status 0, 2 for bad input (one line on
-stderr), 130 and 143 after Ctrl-C and SIGTERM.  Each command is a module of
-`fntg_jax.commands` with a function `main(argv)`.
+stderr), 3 for a training run whose fitness overflowed, 130 and 143 after Ctrl-C and SIGTERM.  Each
+command is a module of `fntg_jax.commands` with a function `main(argv)`.
 """
 
 import contextlib
@@ -101,7 +101,7 @@ def _member_error() -> type[Exception]:
 def refuse(message: str) -> None:
     # Names and values from outside are quoted in it: no line breaks, no terminal sequences.
     line = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in " ".join(message.split()))
-    print(f"fntg: error: {line}", file=sys.stderr)
+    print(f"fntg: error: {line if len(line) < 1000 else line[:900] + ' ...'}", file=sys.stderr)
     raise SystemExit(2)
 
 

@@ -49,6 +49,8 @@ def main(argv: list[str]) -> None:
         registry.get_suite(world, options.suite)
     env = evaluation.environment_for(controller, world, **options.env_options)
     suites = evaluation.held_out_suites(world) if options.suite == "all" else [options.suite]
+    if options.scenes > 50_000:
+        say(f"drawing {options.scenes} scenes a suite ...")
     results = [
         evaluation.evaluate(controller, world, suite, options.scenes, options.seed, env)
         for suite in suites

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import tyro
 
 from fntg_jax.commands.cli import parse
-from fntg_jax.files import write_atomically
+from fntg_jax.files import read_bytes, write_atomically
 from fntg_jax.running import xla
 
 _SMALLEST_PICTURE, _LARGEST_PICTURE = 100, 4096  # pixels of a side
@@ -101,8 +101,9 @@ def _read(path: Path) -> Any:
     import numpy as np
     from PIL import Image
 
+    data = read_bytes(path, "picture", most=100_000_000)
     try:
-        with Image.open(path) as image:
+        with Image.open(io.BytesIO(data)) as image:
             picture = np.asarray(image.convert("RGB"))
     # Pillow's readers raise whatever their format's parser meets.
     except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import os
-import signal
 import sys
 import time
 from pathlib import Path
@@ -12,7 +11,9 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
+from fntg_jax.commands import stopping
 from fntg_jax.commands.cli import parse, say
+from fntg_jax.files import sweep
 from fntg_jax.running import xla
 
 
@@ -63,26 +64,36 @@ def main(argv: list[str]) -> None:
         stamp = time.strftime("%Y%m%d-%H%M%S")
         folder = options.out or Path("runs") / f"{kind}-{stamp}"
 
+        made = None
+
         def create() -> bytes:
-            run_folder.create(folder, options.config)
+            nonlocal made
+            made = run_folder.create(folder, options.config)
             return b""
 
         hosts.from_first(create)
-    with hosts.together(f"continue with: fntg train --resume {folder}"):
+    advice = f"continue with: fntg train --resume {folder}"
+    with hosts.together(advice), stopping.listen(lambda: f"stopped; {advice}") as stop:
         if options.resume is not None:
-            _train(folder, run_folder.restore(folder), resumed=True)
+            run = run_folder.restore(folder)
+            if hosts.is_first():
+                sweep(folder, run_folder.FILES)
+            _train(folder, run, stop, resumed=True)
             return
+        most = max(options.config.scene_pool, options.config.num_scenes)
+        if most > 50_000:
+            say(f"drawing {most} scenes ...")
         try:
-            _train(folder, runner.start(resolved), resumed=False)
-        except ValueError:
-            run_folder.discard(folder)
+            _train(folder, runner.start(resolved), stop, resumed=False)
+        except BaseException:  # also where memory ran out
+            run_folder.discard(folder, made)
             raise
 
 
 _WITH_RESUME = ("resume", "distributed", "coordinator", "num-processes", "process-id")
 
 
-def _train(folder: Path, run: Any, resumed: bool) -> None:
+def _train(folder: Path, run: Any, stop: stopping.Stop, resumed: bool) -> None:
     import jax
 
     from fntg_jax.files import writing
@@ -110,7 +121,7 @@ def _train(folder: Path, run: Any, resumed: bool) -> None:
     else:
         if resumed:
             say(f"continuing after generation {run.generation}")
-        _learn(run, folder)
+        _learn(run, folder, stop)
     with writing(folder):
         if config.scene_pool or config.refine_steps or run.problem.blocks > 1:
             what = ", then refining them" if config.refine_steps else ""
@@ -133,6 +144,16 @@ def _train(folder: Path, run: Any, resumed: bool) -> None:
     if hosts.is_first():
         say(f"figure {figure}, {found} {folder / 'params.json'}")
         print(folder)
+    history = run.history()
+    bad = history.num_nonfinite[:, -1] == config.ga.population
+    if run.problem.task is None:
+        bad |= ~(history.best[:, -1] > 0)  # it is 10 over a number that overflowed
+    if bad.any():
+        say(
+            f"fntg: error: no genome of the last generation has a fitness in {bad.sum()} of "
+            f"{len(bad)} runs: numbers overflow; what was written is arbitrary"
+        )
+        raise SystemExit(3)
 
 
 def parse_over_preset(cls: type, argv: list[str], command: str) -> Any:
@@ -169,41 +190,34 @@ def _preset(argv: list[str], known: list[str]) -> str:
 _CHECKPOINT_SECONDS = 2.0
 
 
-def _learn(run: Any, folder: Path) -> None:
+def _learn(run: Any, folder: Path, stop: stopping.Stop) -> None:
     """Advance a run to its end, with progress on stderr, leaving a checkpoint when stopped."""
     from fntg_jax.files import writing
     from fntg_jax.running import hosts, memory, run_folder
 
-    wanted: list[int] = []
-    handlers = {s: signal.signal(s, lambda n, _: wanted.append(n)) for s in _STOP}
-    try:
-        say("tracing and compiling ...")
-        say(f"tracing and compiling took {run.compile():.1f} s")
-        memory.announce(run.memory_bytes, say)
-        with generation_bar(run) as show, writing(folder):
-            saved = time.monotonic()
-            stop = 0
-            while not run.done and not stop:
-                progress = run.advance()
-                due = int(time.monotonic() - saved > _CHECKPOINT_SECONDS)
-                # Of several processes all save, and stop, when one wants to.
-                due, stop = hosts.largest(due, wanted[0] if wanted else 0)
-                if due or run.done or stop:
-                    run_folder.save_checkpoint(folder, run)
-                    saved = time.monotonic()
-                show(progress)
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-    if stop and not run.done:
+    number = 0
+    say("tracing and compiling ...")
+    say(f"tracing and compiling took {run.compile():.1f} s")
+    memory.announce(run.memory_bytes, say)
+    with generation_bar(run) as show, writing(folder):
+        saved = time.monotonic()
+        stop.at_once = False
+        while not run.done and not number:
+            progress = run.advance()
+            due = int(time.monotonic() - saved > _CHECKPOINT_SECONDS)
+            # Of several processes all save, and stop, when one wants to.
+            due, number = hosts.largest(due, stop.wanted)
+            if due or run.done or number:
+                run_folder.save_checkpoint(folder, run)
+                saved = time.monotonic()
+            show(progress)
+    if number:
         say(
             f"stopped after generation {run.generation} of {run.config.generations}; "
             f"continue with: fntg train --resume {folder}"
         )
-        raise SystemExit(128 + stop)
-
-
-_STOP = (signal.SIGINT, signal.SIGTERM)
+        raise SystemExit(128 + number)
+    stop.at_once = True  # all that follows can be done again from the checkpoint
 
 
 @contextlib.contextmanager

@@ -74,10 +74,10 @@ def validate(config: GAConfig) -> None:
     def share(x):
         return 0 <= x <= 1
 
-    check("population", "even numbers from 2", lambda n: n >= 2 and n % 2 == 0)
+    check("population", "even numbers from 2 to 2^31 - 2", lambda n: 2 <= n < 2**31 and n % 2 == 0)
     check("num_bits", "1 to 24", lambda n: 1 <= n <= 24)
     check("selection", ", ".join(SELECTIONS), lambda s: s in SELECTIONS)
-    check("num_points", "0, 1, 2, ...", lambda n: n >= 0)
+    check("num_points", "0 to 32", lambda n: 0 <= n <= 32)
     check("tournament_size", "1 to the population", lambda n: 1 <= n <= config.population)
     check(
         "num_islands",

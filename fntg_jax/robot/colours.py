@@ -58,9 +58,15 @@ def load(name: str) -> Colours:
     return _read(path)
 
 
+_MOST_BYTES = 10 * CELLS**3  # a table has two for each cell
+
+
 @cache
 def _read(path: Path) -> Colours:
     try:
+        with zipfile.ZipFile(path) as archive:
+            if (size := sum(member.file_size for member in archive.infolist())) > _MOST_BYTES:
+                raise ValueError(f"{size} bytes unpacked")
         with np.load(path) as file:
             label, confidence = file["label"], file["confidence"]
     # An array instead of an archive has no `with`.

@@ -3,12 +3,15 @@ follows from the configuration."""
 
 import dataclasses
 import json
+import math
 from typing import Any
 
 import jax
 import numpy as np
 
 from fntg_jax.learning import ga
+from fntg_jax.running import config_file
+from fntg_jax.running.problem import Problem
 from fntg_jax.running.runner import History, Run
 
 _ARRAYS = (
@@ -48,6 +51,21 @@ def to_arrays(run: Run) -> dict[str, np.ndarray]:
     }
 
 
+def most_bytes(problem: Problem) -> int:
+    """What the arrays of a checkpoint may take unpacked."""
+    memory = ()
+    if problem.task is not None:
+        memory = jax.eval_shape(lambda: problem.task.init(jax.random.key(0)))
+    each = sum(_size(x) for x in jax.tree.leaves(memory))
+    config = problem.config
+    return config_file.most_bytes(config, len(problem.genes), config.seeds * each)
+
+
+def _size(x: Any) -> int:
+    x = jax.eval_shape(_plain, x)
+    return math.prod(x.shape) * x.dtype.itemsize
+
+
 def _is_key(x: Any) -> bool:
     return jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key)
 
@@ -59,12 +77,24 @@ def _plain(x: Any) -> Any:
 
 def from_arrays(run: Run, arrays: dict[str, np.ndarray]) -> None:
     """Let a new run of the same configuration take over a checkpoint.  Raises ValueError when it
-    lacks something."""
+    lacks something, or holds what no such run wrote."""
     like, structure = jax.tree.flatten(run.state.memory)
     memory = [f"memory_{n}" for n in range(len(like))]
     missing = [name for name in (*_ARRAYS, *memory) if name not in arrays]
     if missing:
         raise ValueError(f"no {missing[0]} in it")
+    # What this run would write now, after as many generations.
+    expected, num = to_arrays(run), np.shape(arrays["history_best"])[1:2]
+    for name, like_it in expected.items():
+        shape = like_it.shape
+        if name.startswith("history_"):
+            shape = (shape[0], *num, *shape[2:])
+        found = arrays[name]
+        kind = "U" if name == "config" else like_it.dtype
+        if found.shape != shape or (found.dtype != kind and found.dtype.kind != kind):
+            raise ValueError(f"{name} is {found.dtype} {found.shape}, not {like_it.dtype} {shape}")
+    if not (arrays["generation"] == num).all():
+        raise ValueError(f"its history has {num[0]} generations, its state another number")
     length = run.state.bits.shape[-1]
 
     def unpack(name):
@@ -78,10 +108,6 @@ def from_arrays(run: Run, arrays: dict[str, np.ndarray]) -> None:
         "best_fitness": arrays["best_fitness"],
         "memory": [arrays[name] for name in memory],
     }
-    for name, x in zip(memory, like):
-        shape = (run.rows.num, *_plain(x).shape[1:])
-        if arrays[name].shape != shape or arrays[name].dtype != _plain(x).dtype:
-            raise ValueError(f"{name} is {arrays[name].dtype} {arrays[name].shape}")
 
     def to_state(x):
         kept = [jax.random.wrap_key_data(v) if _is_key(w) else v for v, w in zip(x["memory"], like)]

@@ -1,8 +1,9 @@
-"""config.json of a run folder."""
+"""config.json of a run folder, and how large the files beside it may be."""
 
 import json
 from pathlib import Path
 
+from fntg_jax.files import read_text
 from fntg_jax.running import settings
 from fntg_jax.running.settings import TrainConfig
 
@@ -12,9 +13,12 @@ def load(folder: Path) -> TrainConfig:
     damaged."""
     path = folder / "config.json"
     try:
-        data = json.loads(path.read_text())
-    except OSError:
-        raise ValueError(f"{folder}: not a run folder (no readable config.json)") from None
+        text = read_text(path, "configuration")
+    except ValueError as error:
+        why = str(error).removeprefix(f"{path}: ")
+        raise ValueError(f"{folder}: not a run folder (config.json: {why})") from None
+    try:
+        data = json.loads(text)
     except ValueError as error:
         raise ValueError(f"{path}: not JSON ({error})") from None
     except RecursionError:
@@ -23,3 +27,11 @@ def load(folder: Path) -> TrainConfig:
         return settings.from_dict(data)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from None
+
+
+def most_bytes(config: TrainConfig, num_genes: int, num_memory: int = 0) -> int:
+    """More than the arrays of this run's checkpoint, or of its history, take: what is larger is
+    none.  num_memory: bytes of what the task remembers."""
+    length = num_genes * max(config.ga.num_bits, 8)
+    each = config.ga.population + config.generations + config.refine_steps * config.refine_top
+    return 1_000_000 + config.seeds * (each + 1) * (length + 100) + 2 * num_memory

@@ -1,8 +1,6 @@
 """The controllers of a run, and of its folder, with where they come from."""
 
 import dataclasses
-import math
-import zipfile
 from pathlib import Path
 
 import jax
@@ -10,6 +8,7 @@ import numpy as np
 
 from envs.base import Limits
 from fntg_jax import export
+from fntg_jax.files import read_arrays, read_bytes
 from fntg_jax.running import config_file
 from fntg_jax.running.provenance import version
 from fntg_jax.running.runner import Result, Run
@@ -73,7 +72,9 @@ def of_generation(folder: Path, generation: int) -> export.Controller:
     seed = best.provenance.get("seed", config.first_seed)
     index = seed - config.first_seed if isinstance(seed, int) else -1
     shape = (config.seeds, config.generations, best.layout.num_genes)
-    theta = _stored(folder, "best_theta", shape, index)[generation - 1]
+    theta = _stored(folder, config, best.layout.num_genes, "best_theta", shape, index)[
+        generation - 1
+    ]
     provenance = {**best.provenance, "generations": generation, "fitness": None}
     return dataclasses.replace(best, theta=theta, bits=None, provenance=provenance)
 
@@ -86,8 +87,10 @@ def of_seed(folder: Path, seed: int) -> export.Controller:
     index = _row(config, seed)
     if seed == best.provenance.get("seed"):
         return best
-    theta = _stored(folder, "theta", (config.seeds, best.layout.num_genes), index)
-    value = _stored(folder, "fitness", (config.seeds,), index)
+    theta = _stored(
+        folder, config, best.layout.num_genes, "theta", (config.seeds, best.layout.num_genes), index
+    )
+    value = _stored(folder, config, best.layout.num_genes, "fitness", (config.seeds,), index)
     provenance = {
         **best.provenance,
         "seed": seed,
@@ -97,16 +100,21 @@ def of_seed(folder: Path, seed: int) -> export.Controller:
     return dataclasses.replace(best, theta=theta, bits=None, provenance=provenance)
 
 
-def _stored(folder: Path, name: str, shape: tuple[int, ...], index: int) -> np.ndarray:
+def _stored(
+    folder: Path,
+    config: TrainConfig,
+    num_genes: int,
+    name: str,
+    shape: tuple[int, ...],
+    index: int,
+) -> np.ndarray:
     """Row `index` of an array of history.npz.  The file is not trusted."""
     path = folder / "history.npz"
     try:
-        with zipfile.ZipFile(path) as archive:
-            size = archive.getinfo(f"{name}.npy").file_size
-        if size > 8 * math.prod(shape) + 1000 or not 0 <= index < shape[0]:
+        if not 0 <= index < shape[0]:
             raise ValueError("another shape than config.json says")
-        with np.load(path, allow_pickle=False) as file:
-            stored = file[name].astype(np.float64)
+        most = config_file.most_bytes(config, num_genes)
+        stored = read_arrays(read_bytes(path, "history", most), most)[name].astype(np.float64)
         row = stored[index] if stored.shape == shape else np.asarray(np.inf)
         if name != "fitness" and not np.all(np.abs(row) <= 5):
             raise ValueError("another shape or range than config.json says")

@@ -11,6 +11,7 @@ from fntg_jax.learning import fitness
 from fntg_jax.learning.rollout import Outcome, rollout_pairs
 from fntg_jax.running import memory
 from fntg_jax.running.registry import get_suite
+from fntg_jax.running.settings import MOST_SCENES
 from fntg_jax.running.statistics import Rate, wilson
 
 PARTS = ("reach", "safe", "stop", "success")
@@ -63,8 +64,10 @@ def held_out_suites(world: Any) -> list[str]:
 def held_out_scenes(world: Any, suite: str, num_scenes: int, seed: int = 0) -> Any:
     """`num_scenes` scenes of a suite; asking for more leaves the first ones as they are.
     Raises ValueError on an unknown suite or number of scenes."""
-    if not 1 <= num_scenes < 2**31:
-        raise ValueError(f"scenes = {num_scenes}: allowed are whole numbers from 1 below 2^31")
+    if not 1 <= num_scenes <= MOST_SCENES:
+        raise ValueError(
+            f"scenes = {num_scenes}: allowed are whole numbers from 1 to {MOST_SCENES}"
+        )
     if not 0 <= seed < 2**32:
         raise ValueError(f"seed = {seed}: allowed are whole numbers from 0 below 2^32")
     # Training seeds are folded from small whole numbers; this constant keeps the suites apart.

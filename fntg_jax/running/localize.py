@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fntg_jax.files import csv_table
+from fntg_jax.files import csv_table, read_text
 from fntg_jax.robot import hypotheses
 
 LOG_HEADER = ["time", "kind", "name", "a", "b", "c"]
@@ -41,12 +41,7 @@ class Row(NamedTuple):
 
 def _rows(path: Path, header: list[str]) -> Iterator[tuple[str, list[str]]]:
     """("FILE row N", cells) of every line below the header.  Raises ValueError."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise ValueError(f"{path}: {error.strerror or error}") from None
-    except UnicodeDecodeError:
-        raise ValueError(f"{path}: no text in UTF-8") from None
+    text = read_text(path, "log", most=500_000_000).removeprefix("\ufeff")
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
         first = [cell.strip() for cell in next(reader, [])]

@@ -16,13 +16,18 @@ def check(compiled: Any, num_devices: int = 1) -> int:
         return 0
     need = found.argument_size_in_bytes + found.output_size_in_bytes + found.temp_size_in_bytes
     need *= num_devices if jax.default_backend() == "cpu" else 1
+    refuse_beyond(need)
+    return need
+
+
+def refuse_beyond(need: int) -> None:
+    """Raises ValueError (one line) where fewer bytes are free."""
     free = available()
     if free is not None and need > free:
         raise ValueError(
             f"this needs about {need / 1e9:.1f} GB of memory and {free / 1e9:.1f} GB are free: "
             "take fewer genomes, scenes or seeds"
         )
-    return need
 
 
 def announce(num_bytes: int, say: Callable[[str], None]) -> None:

@@ -8,6 +8,7 @@ import contextlib
 import dataclasses
 import io
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,29 +17,60 @@ import numpy as np
 
 from envs.base import Task
 from fntg_jax import export
-from fntg_jax.files import csv_table, write_atomically, writing
+from fntg_jax.files import (
+    csv_table,
+    read_arrays,
+    read_bytes,
+    sweep,
+    write_atomically,
+    writing,
+)
 from fntg_jax.running import checkpoint, config_file, controllers, genes, hosts, settings
 from fntg_jax.running.problem import resolve
 from fntg_jax.running.provenance import provenance
 from fntg_jax.running.runner import History, Result, Run, decode_history, start
 from fntg_jax.running.settings import TrainConfig
 
+FILES = (
+    "config.json",
+    "checkpoint.npz",
+    "metrics.csv",
+    "history.npz",
+    "params.json",
+    "provenance.json",
+    "fig5.pdf",
+    "fig5.png",
+)
 
-def create(out: Path, config: TrainConfig) -> None:
-    """Make the folder and write config.json.  Raises ValueError where it cannot be made."""
+
+def create(out: Path, config: TrainConfig) -> Path | None:
+    """Make the folder and write config.json; returns the outermost folder that was not there.
+
+    Raises ValueError where it cannot be made, or is there with more in it than what a process
+    killed at this very point leaves.
+    """
     with writing(out, "out"):
+        if out.is_dir():
+            sweep(out, FILES)
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             raise ValueError(f"out = {out}: exists already; choose a new folder, or --resume it")
+        made = next((p for p in reversed([out, *out.parents]) if not p.exists()), None)
         out.mkdir(parents=True, exist_ok=True)
         _write_json(out / "config.json", dataclasses.asdict(config))
+    return made
 
 
-def discard(folder: Path) -> None:
-    """Take back what `create` made, where a run did not come to its first checkpoint."""
+def discard(folder: Path, made: Path | None) -> None:
+    """Take back what `create` made, where a run did not come to its first checkpoint.
+
+    made: the outermost folder that was not there before.
+    """
     if hosts.is_first() and not (folder / "checkpoint.npz").exists():
         (folder / "config.json").unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # somebody else's files in it
-            folder.rmdir()
+            while made is not None and folder.is_relative_to(made):
+                folder.rmdir()
+                folder = folder.parent
 
 
 def save_checkpoint(folder: Path, run: Run) -> None:
@@ -60,9 +92,10 @@ def restore(folder: Path, task: Task | None = None) -> Run:
     def read() -> bytes:
         try:
             # The "+" tells an empty file from none.
-            return b"+" + path.read_bytes() if path.exists() else b""
-        except OSError as error:
-            why = error.strerror or error
+            most = checkpoint.most_bytes(problem)
+            return b"+" + read_bytes(path, "checkpoint", most) if os.path.lexists(path) else b""
+        except ValueError as error:
+            why = str(error).removeprefix(f"{path}: ")
             raise ValueError(f"{path}: not a checkpoint of this run ({why})") from None
 
     data = hosts.from_first(read)
@@ -70,8 +103,7 @@ def restore(folder: Path, task: Task | None = None) -> Run:
         return start(problem)
     run = Run(problem)
     try:
-        with np.load(io.BytesIO(data[1:]), allow_pickle=False) as file:
-            arrays = dict(file)
+        arrays = read_arrays(data[1:], checkpoint.most_bytes(problem))
         checkpoint.from_arrays(run, arrays)
         # Compared as configurations: options that came later have their defaults.
         if settings.from_dict(json.loads(str(arrays["config"]))) != problem.config:

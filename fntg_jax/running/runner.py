@@ -68,6 +68,10 @@ class Run:
     def __init__(self, problem: Problem, variants: Sequence[TrainConfig] = ()):
         self.problem, config = problem, problem.config
         num_rows = config.seeds * max(len(variants), 1)
+        # Before anything is made for each: populations alone.
+        memory.refuse_beyond(
+            num_rows * config.ga.population * len(problem.genes) * config.ga.num_bits
+        )
         self.rows = Rows(make_mesh(num_rows, problem.blocks), num_rows)
         # All seeds share the pool, so that a seed's result does not depend on its company.
         with problem.code():

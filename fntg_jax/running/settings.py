@@ -6,8 +6,6 @@ What its names stand for (world, suite, task) is looked up in `problem.resolve`.
 import dataclasses
 from typing import Any, Literal, get_args, get_type_hints
 
-import numpy as np
-
 from envs.base import Limits
 from fntg_jax.controller import network
 from fntg_jax.controller.layout import get_layout
@@ -136,19 +134,23 @@ def validate(config: TrainConfig) -> None:
 
     Raises ValueError: field, value, what is allowed.
     """
-    for name, least in (
-        ("seeds", 1),
-        ("generations", 1),
-        ("num_scenes", 1),
-        ("first_seed", 0),
-        ("scene_pool", 0),
-        ("refine_steps", 0),
-        ("refine_scenes", 0),
-        ("refine_top", 1),
+    for name, least, most in (
+        ("seeds", 1, 2**32),
+        ("generations", 1, 1_000_000),
+        ("num_scenes", 1, MOST_SCENES),
+        ("first_seed", 0, 2**32 - 1),
+        ("scene_pool", 0, MOST_SCENES),
+        ("refine_steps", 0, 1_000_000),
+        ("refine_scenes", 0, MOST_SCENES),
+        ("refine_top", 1, 16),
     ):
         value = getattr(config, name)
-        if value < least:
-            raise ValueError(f"{name} = {value}: allowed are whole numbers from {least}")
+        if not least <= value <= most:
+            raise ValueError(f"{name} = {value}: allowed are whole numbers from {least} to {most}")
+    for name in ("task_options", "env_options"):
+        for key, value in getattr(config, name).items():
+            if not isinstance(value, int | float) or isinstance(value, bool):
+                raise ValueError(f"{name}.{key} = {value!r}: allowed are numbers")
     if config.first_seed + config.seeds > 2**32:
         raise ValueError(
             f"first_seed = {config.first_seed}: allowed are 0 to {2**32 - config.seeds} for "
@@ -157,10 +159,10 @@ def validate(config: TrainConfig) -> None:
     get_layout(config.layout)
     network.output_gains(Limits(), config.output)
     ga.validate(config.ga)
-    if config.scene_pool and not config.num_scenes <= config.scene_pool <= _MOST_SCENES:
+    if config.scene_pool and config.num_scenes > config.scene_pool:
         raise ValueError(
             f"scene_pool = {config.scene_pool}: allowed are 0 and numbers from num_scenes = "
-            f"{config.num_scenes} to {_MOST_SCENES}"
+            f"{config.num_scenes} to {MOST_SCENES}"
         )
     if not 0 < config.refine_rate <= 1:
         raise ValueError(
@@ -180,13 +182,20 @@ def validate(config: TrainConfig) -> None:
     }
     for group, names in positive.items():
         for name, value in dataclasses.asdict(getattr(config, group)).items():
-            if not (np.isfinite(value) and value >= 0):
-                raise ValueError(f"{group}.{name} = {value}: allowed are finite numbers from 0")
-            if value == 0 and name in names:
-                raise ValueError(f"{group}.{name} = {value}: allowed are numbers above 0")
+            # What it is in float32 counts: 1e300 would be infinite there, 1e-300 nothing.
+            if not 0 <= value <= _LARGEST:
+                raise ValueError(
+                    f"{group}.{name} = {value}: allowed are numbers from 0 to {_LARGEST:g}"
+                )
+            if value < 1 / _LARGEST and (value > 0 or name in names):
+                raise ValueError(
+                    f"{group}.{name} = {value}: allowed are "
+                    f"{'' if name in names else '0 and '}numbers from {1 / _LARGEST:g}"
+                )
 
 
-_MOST_SCENES = 10_000_000  # of a pool: about a GB
+MOST_SCENES = 1_000_000  # 0.1 GB; a pool of a few thousand does
+_LARGEST = 1e30  # of a weight
 
 
 def from_dict(data: Any) -> TrainConfig:

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from fntg_jax.files import write_atomically, writing
+from fntg_jax.files import read_bytes, write_atomically, writing
 from fntg_jax.robot import acoustics
 from fntg_jax.robot.communication import Word, unpack
 
@@ -42,10 +42,7 @@ def read_wav(path: str | Path) -> tuple[int, Float[np.ndarray, "channels samples
     # scipy.io costs a tenth of a second; every other command does without.
     from scipy.io import wavfile
 
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise ValueError(f"{path}: {error.strerror}") from None
+    data = read_bytes(path, "WAV file of robots", most=500_000_000)
     try:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")

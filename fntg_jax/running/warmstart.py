@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Key
 from fntg_jax import export
 from fntg_jax.controller import genome
 from fntg_jax.controller.layout import HIGH, LOW
+from fntg_jax.files import read_arrays, read_bytes
 from fntg_jax.running import config_file, hosts
 from fntg_jax.running.problem import Problem
 from fntg_jax.running.settings import TrainConfig
@@ -108,8 +109,8 @@ def _last_populations(folder: Path, config: TrainConfig, num_genes: int) -> Bool
     length = num_genes * config.ga.num_bits
     path = folder / "checkpoint.npz"
     try:
-        with np.load(path, allow_pickle=False) as file:
-            packed = file["bits"]
+        most = config_file.most_bytes(config, num_genes)
+        packed = read_arrays(read_bytes(path, "checkpoint", most), most)["bits"]
         shape = (config.seeds, config.ga.population, -(-length // 8))
         if packed.dtype != np.uint8 or packed.shape != shape:
             raise ValueError(f"bits are {packed.dtype} {packed.shape}, not uint8 {shape}")
