@@ -27,6 +27,8 @@ class Learnt:
         fitness: [seeds], of the best of each seed.
         history: what evolution recorded, leading axes (seed, generation).
         refined: [seeds, steps] fitness in the course of the refinement, None without one.
+        strength: where fitness is relative, generations [n] and their champions' scores
+            [seeds, n]; None elsewhere.
         config: all options of the run.
     """
 
@@ -37,6 +39,7 @@ class Learnt:
     fitness: np.ndarray
     history: History
     refined: np.ndarray | None
+    strength: tuple[np.ndarray, np.ndarray] | None
     config: TrainConfig
 
     def __repr__(self) -> str:
@@ -107,5 +110,6 @@ def learn(
         fitness=np.asarray(result.fitness),
         history=run.history(),
         refined=result.refined,
+        strength=result.strength,
         config=config,
     )
