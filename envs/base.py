@@ -325,8 +325,10 @@ class Task(NamedTuple):
     init: key -> memory, a pytree of arrays: what fitness remembers from generation to generation (a
     hall of fame, a curriculum).  Its structure and shapes never change; it is checkpointed.
     judge: (key, theta [N, genes], memory) -> {name: numbers [N]}, on what no fitness was computed
-    from.  The last population's individual with the largest number "score" is the result; without
-    `judge` it is the best of all generations, which fits a fitness that does not change.
+    from; where chance plays a part, rows best draw apart: the result is reported as the mean over
+    as many rows as a population has.  The last population's individual with the largest number
+    "score" is the result; without `judge` it is the best of all generations, which fits a fitness
+    that does not change.
     files: {gene: value} -> {file name: text}, the result in the task's own format, or None.
     shares: population -> how many devices can share a generation or a judgement, along the axis
     "genome" of `jax.shard_map`; None: all devices of it compute the same.

@@ -35,16 +35,21 @@ def conclude(
         names[:] = numbers  # jax would sort a dict by its names
         return list(numbers.values())
 
-    program = jax.jit(over_seeds(one_seed, rows.mesh))
-    compiled: dict[int, Any] = {}
+    program: Any = None
 
     def numbers_of(draw: int, theta: np.ndarray) -> dict[str, np.ndarray]:
-        """Judgements of theta [S, N, genes] in (-5, 5): numbers [S, N] by name."""
+        """Judgements of theta [S, population, genes] in (-5, 5): numbers [S, population] by name.
+        One program serves all: compiling a match takes longer than judging in some."""
+        nonlocal program
         arguments = np.int32(draw), (evolved.state, rows.place(theta))
-        if theta.shape[1] not in compiled:
-            compiled[theta.shape[1]] = rows.compile(program, arguments)
-        found = rows.gather(compiled[theta.shape[1]](*arguments))
-        return dict(zip(names, found))
+        if program is None:
+            program = rows.compile(jax.jit(over_seeds(one_seed, rows.mesh)), arguments)
+        return dict(zip(names, rows.gather(program(*arguments))))
+
+    def mean_of(draw: int, theta: np.ndarray) -> dict[str, np.ndarray]:
+        """Judgements of theta [S, genes], each as often as there are genomes: means [S]."""
+        many = np.repeat(theta[:, None], coding.population, axis=1)
+        return {name: x.mean(axis=1) for name, x in numbers_of(draw, many).items()}
 
     def decode(bits):
         return np.asarray(genome.decode(bits, coding.num_bits, coding.gray))
@@ -58,7 +63,6 @@ def conclude(
         value = np.nan_to_num(value[every, best], nan=0, posinf=0, neginf=0)  # as in evolution
         strength = None
         if task.relative:
-            # As many as the population has, so that the same program judges them.
             num = champions.shape[1]
             shown = np.unique(np.linspace(0, num - 1, coding.population).round().astype(int))
             padded = np.resize(shown, coding.population)
@@ -66,10 +70,10 @@ def conclude(
             strength = shown + 1, scores[:, : len(shown)]
         refined = None
         if config.refine_steps:
-            validate = lambda theta: numbers_of(_VALIDATION, theta[:, None])["score"][:, 0]  # noqa: E731
+            validate = lambda theta: mean_of(_VALIDATION, theta)["score"]  # noqa: E731
             theta, value, refined = _refined(evolved, theta, validate, show)
             bits = None
-        judgement = {n: x[:, 0] for n, x in numbers_of(_REPORT, theta[:, None]).items()}
+        judgement = mean_of(_REPORT, theta)
     return Result(np.asarray(problem.in_units(theta)), value, bits, refined, judgement, strength)
 
 

@@ -335,10 +335,12 @@ def _fitness(rules: Rules, key: Any, theta: Any, memory: Any, progress: Any) -> 
 
 def _judge(rules: Rules, key: Any, theta: Any, memory: Any) -> dict[str, Any]:
     """Points (wins and half of the draws, as a share) against the shipped teams on held-out seeds,
-    goals a match; `score` is the mean of the points."""
+    with either kick-off, and goals a match; `score` is the mean of the points."""
     del memory
     size, num = theta.shape[0], 2 * max(_JUDGED // (2 * len(SHIPPED) * theta.shape[0]), 1)
-    seeds = jnp.repeat(_HELD_OUT + _seeds(rules, key, num), size)
+    # Every genome has draws of its own, so that equal ones are together a larger sample.
+    draws = jax.random.randint(key, (num // 2, 1, size), 0, _HELD_OUT // 2)
+    seeds = (_HELD_OUT + 2 * draws + jnp.arange(2)[:, None]).ravel()
     both = len(SHIPPED)
     home = jnp.tile(theta, (both * num, 1))
     statistics, _ = _played(
