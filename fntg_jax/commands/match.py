@@ -35,6 +35,13 @@ class MatchOptions:
     """body of the home team: ers210, wheels or a table of your own (.json)."""
     away_body: str = "ers210"
     """body of the away team."""
+    body: str = "tables"
+    """what moves the bodies: tables, or quadruped: six walking dogs in one MuJoCo model."""
+    film: Path | None = None
+    """with --body quadruped: also write a film of the first match, .webp, .gif, or .mp4 (which
+    needs ffmpeg)."""
+    film_seconds: float = 30.0
+    """of play that it shows, from the kick-off."""
     json: bool = False
     """print JSON instead of a table."""
     out: Path | None = None
@@ -69,12 +76,17 @@ def main(argv: list[str]) -> None:
         minutes=options.minutes,
     )
     sides = matches.get_team(options.home, match, 0), matches.get_team(options.away, match, 1)
+    if options.film is not None or options.body != "tables":
+        _check_film(options)
     if options.html is not None:
         if options.html.is_dir() or not options.html.parent.is_dir():
             raise ValueError(f"html = {options.html}: allowed is a file in a folder that exists")
         say(f"page {_page(options.html, match, sides, options.seed)}")
     say(f"{options.matches} matches of {match.steps} control steps")
-    results = matches.play_matches(match, *sides, options.matches, options.seed)
+    if options.body == "tables":
+        results = matches.play_matches(match, *sides, options.matches, options.seed)
+    else:
+        results = _physical(options, match, sides)
     home, away, draws = matches.summarize(results, (options.home, options.away))
     if options.out is not None:
         say(f"rows {_write(options.out, results, (options.home, options.away))}")
@@ -101,6 +113,56 @@ def main(argv: list[str]) -> None:
         unit = (lambda v: f"{100 * v:.1f} %") if name == "possession" else (lambda v: f"{v:.2f}")
         pair(name.replace("_", " "), [unit(s.means[name]) for s in (home, away)])
     print(f"{'draws':16s}{draws!s:>24s}")
+
+
+_FILMS = (".webp", ".gif", ".mp4")
+
+
+def _check_film(options: MatchOptions) -> None:
+    import shutil
+
+    if options.body == "tables":
+        raise ValueError("film: only walking robots are filmed (--body quadruped); see --html")
+    if options.film is None:
+        return
+    suffix = options.film.suffix.lower()
+    if suffix not in _FILMS or not options.film.parent.is_dir():
+        raise ValueError(
+            f"film = {options.film}: allowed are names ending in {', '.join(_FILMS)} in a folder "
+            "that exists"
+        )
+    if suffix == ".mp4" and shutil.which("ffmpeg") is None:
+        raise ValueError(f"film = {options.film}: no ffmpeg found; .webp and .gif need none")
+    if not 1 <= options.film_seconds <= 600:
+        raise ValueError(f"film_seconds = {options.film_seconds}: allowed are 1 to 600")
+
+
+def _physical(options: MatchOptions, match, sides):
+    """Matches of walking dogs, one after the other."""
+    from fntg_jax.files import write_atomically, writing
+    from fntg_jax.running import physical
+    from fntg_jax.showing import film
+
+    bodies = physical.get_bodies(options.body, match)
+    keep = (2, options.film_seconds) if options.film is not None else (0, 0.0)
+    played = physical.play_matches(
+        match,
+        bodies,
+        sides,
+        options.matches,
+        options.seed,
+        keep,
+        lambda done, total: say(f"{done} of {total} matches"),
+    )
+    lasted = (match.steps - 1) * match.dt
+    say(f"{lasted / played.seconds:.1f} x real time (the first match, compiled)")
+    if options.film is not None:
+        say("drawing ...")
+        pictures = bodies.pictures(played.poses, 640, 360)
+        with writing(options.film, "film"):
+            write_atomically(options.film, film.encoded(pictures, match.dt / 2, options.film))
+        say(f"film {options.film}")
+    return played.results
 
 
 def _page(path: Path, match, sides, seed: int) -> Path:

@@ -175,7 +175,13 @@ def begin(
 
 
 def control_step(match: Any, home: Side, away: Side, carry: Any, each: tuple[bool, bool] = _ONE):
-    """One control step of a batch: ((state, memories), action) after both teams have acted.
+    """One control step of a batch: ((state, memories), action) after both teams have acted."""
+    memories, action = decide(match, home, away, carry, each)
+    return (match.step_batch(carry[0], action), memories), action
+
+
+def decide(match: Any, home: Side, away: Side, carry: Any, each: tuple[bool, bool] = _ONE):
+    """What both teams make of a batch's states: memories, and the action of all robots.
 
     Robots and matches are one flat axis, the last, for the teams: their inner loops then run over
     contiguous numbers."""
@@ -194,8 +200,7 @@ def control_step(match: Any, home: Side, away: Side, carry: Any, each: tuple[boo
         after.append(memory)
         actions.append(action)
     shape = state.robots.x.shape[1:]
-    both = jax.tree.map(lambda a, b: _joined(a, b, match, shape), *actions)
-    return (match.step_batch(state, both), tuple(after)), both
+    return tuple(after), jax.tree.map(lambda a, b: _joined(a, b, match, shape), *actions)
 
 
 def _of_team(a, match, team):

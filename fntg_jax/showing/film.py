@@ -6,7 +6,10 @@ can be pushed, not the lean one that controllers are trained and evaluated in.
 
 import io
 import math
+import subprocess
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -100,3 +103,24 @@ def animation(shots: list[Shot], image_format: str) -> tuple[bytes, list[bytes]]
         frames[n].save(out, format="PNG")
         keys.append(out.getvalue())
     return encode(frames, shots[0].dt, image_format), keys
+
+
+def encoded(pictures: list[np.ndarray], dt: float, path: Path) -> bytes:
+    """Pictures uint8 [height, width, 3], dt seconds each, in the format of the path's name: .webp,
+    .gif, or .mp4 by ffmpeg.  Raises ValueError where that fails."""
+    suffix = path.suffix.lower()
+    if suffix != ".mp4":
+        from PIL import Image
+
+        return encode([Image.fromarray(p) for p in pictures], dt, suffix[1:].upper())
+    height, width = pictures[0].shape[:2]
+    with tempfile.TemporaryDirectory() as scratch:
+        target = Path(scratch, "film.mp4")
+        command = ["ffmpeg", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
+        command += ["-s", f"{width}x{height}", "-r", f"{1 / dt:g}", "-i", "-"]
+        command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", str(target)]
+        done = subprocess.run(command, input=b"".join(map(bytes, pictures)), capture_output=True)
+        if done.returncode:
+            words = " ".join(done.stderr.decode(errors="replace").split())
+            raise ValueError(f"film = {path}: ffmpeg failed: {words[-200:]}")
+        return target.read_bytes()
