@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: paper test test-slow lint docs figures clean
+.PHONY: paper test test-slow lint docs figures brax-baseline clean
 
 paper: $(READY)
 	$(BIN)/fntg train --preset paper --seeds 30
@@ -27,6 +27,16 @@ docs: $(READY)
 figures: $(READY)
 	for n in 5 6 7 8; do $(BIN)/python experiments/fig$$n.py || exit; done
 
+# PPO as people would use it, in an environment of its own: brax's release does not run with our jax.
+brax-baseline: .venv-brax/.ready
+	FNTG_XLA_FLAGS=off .venv-brax/bin/python -m experiments.optimizers --methods brax-ppo-mlp $(BRAX_OPTIONS)
+
+.venv-brax/.ready: requirements-brax.txt
+	$(PYTHON) -m venv .venv-brax
+	.venv-brax/bin/python -m pip install --quiet --disable-pip-version-check -r $<
+	.venv-brax/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	touch $@
+
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.11 ...")'
 	$(PYTHON) -m venv $(VENV)
@@ -34,4 +44,4 @@ $(READY): pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf $(VENV) build *.egg-info
+	rm -rf $(VENV) .venv-brax build *.egg-info

@@ -12,7 +12,8 @@ without compilation and judging.
 
 Results are added to optimizers.csv as each run ends; runs that are in it are not repeated.  brax's
 networks go faster without our XLA flags: run those methods first, with FNTG_XLA_FLAGS=off and
---methods.  Writes optimizers.csv (one row a checkpoint), optimizers.md, optimizers.png and .pdf.
+--methods; PPO and APG need an older jax than ours (`make brax-baseline`).  Writes optimizers.csv
+(one row a checkpoint), optimizers.md, optimizers.png and .pdf.
 """
 
 import contextlib
@@ -88,7 +89,8 @@ def run(options: Options) -> tuple[list[Row], list[str]]:
     rows = read(path) if path.exists() else []
     task = Task(options.output, eval_scenes=options.eval_scenes)
     try:
-        phases = optimizers_fntg.searches()
+        ours = [name for name in options.methods if name not in optimizers_brax.NAMES]
+        phases = optimizers_fntg.searches() if ours else {}
         with contextlib.redirect_stdout(io.StringIO()):  # "Failed to import warp"
             import brax.envs  # noqa: F401
     except ModuleNotFoundError as error:

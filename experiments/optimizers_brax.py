@@ -98,13 +98,20 @@ def _trainer(
         options = {"learning_rate": 0.05, "perturbation_std": 0.3, "network_factory": factory}
         return partial(train.train, **common, **options)
     if name == "brax-ppo-mlp":
+        from brax.training.agents.ppo import networks as ppo_networks
         from brax.training.agents.ppo import train as ppo
 
+        # brax's own defaults are made for GPUs: its critic of 5 x 256 takes most of a CPU's time.
+        plain = partial(
+            ppo_networks.make_ppo_networks,
+            policy_hidden_layer_sizes=(64, 64),
+            value_hidden_layer_sizes=(64, 64),
+        )
         return partial(
             ppo.train, **common, num_timesteps=budget, num_envs=1024, batch_size=256,
             num_minibatches=16, unroll_length=20, num_updates_per_batch=4, learning_rate=1e-3,
             entropy_cost=1e-3, discounting=0.98, normalize_observations=True,
-            num_resets_per_eval=1,
+            num_resets_per_eval=1, network_factory=plain,
         )  # fmt: skip
     from brax.training.agents.apg import networks as apg_networks
     from brax.training.agents.apg import train as apg

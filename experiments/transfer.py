@@ -1,19 +1,24 @@
-"""From the kinematic world into physics: train in one, judge in both, fine-tune in physics.
+"""What fine-tuning in physics is worth: controllers of the kinematic world, seed by seed.
 
-    python -m experiments.transfer --out runs/transfer
-    python -m experiments.transfer --controller kinematic.json --out runs/transfer
+    fntg train --preset robust --env-options capture 0.145 --seeds 10 --out runs/captured
+    python -m experiments.transfer --controller runs/captured --out runs/transfer
 
-Writes transfer.csv (success on the suites, every stage in every world, with Wilson 95 %
-intervals), the two controllers, and failures.png: the trials in the full model that each stage
-failed.  A controller of your own must know the capture point (`fntg train --env-options capture
-0.145`).  Each controller learns on freshly drawn scenes, half of
-them with an obstacle in the way; fitness is the geometric mean of the trials' F, so that one
-perfect trial does not outweigh many bad ones.
+Every seed of the run (or one parameter file) is judged in the kinematic world, on the lean model
+and on the full one, goes on learning on the lean one, and is judged again.  It must know the
+capture point, as above.  Scenes are drawn freshly in each generation, half of them with an
+obstacle in the way; fitness is the geometric mean of the trials' F, so that one perfect trial does
+not outweigh many bad ones.
+
+Prints, by world and suite, medians over the seeds and of their differences, with 95 % bootstrap
+intervals.  Writes transfer.csv (a row a seed, stage, world and suite, as each seed ends; seeds that
+are in it are not repeated), the fine-tuned controllers, and failures-SEED.png: the trials in the
+full model that each stage failed.
 """
 
+import csv
 import dataclasses
 import sys
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,10 +31,10 @@ import fntg_jax
 from experiments import script
 from fntg_jax import export
 from fntg_jax.controller import genome, network
-from fntg_jax.controller.layout import get_layout
+from fntg_jax.controller.controller import Controller
 from fntg_jax.learning import fitness, ga
 from fntg_jax.learning.rollout import Outcome, outcome_of, rollout_pairs
-from fntg_jax.running import evaluation, statistics, warmstart, xla
+from fntg_jax.running import config_file, controllers, evaluation, statistics, warmstart, xla
 from fntg_jax.running.registry import get_world
 from fntg_jax.showing import failures, plots
 
@@ -42,34 +47,31 @@ F_MOST = 100.0  # a trial's F counts up to here: about 0.05 m from the ball, sta
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    """Training in the kinematic world, then in physics.
+    """What to start from, and how much to learn and to judge.
 
     Attributes:
+        controller: run folder, of which every seed counts, or a parameter file.
         out: folder of the results.
-        controller: parameter file or run folder to start from, instead of training in the
-            kinematic world.
-        layout: gene table of the controller that is trained.
-        population, generations, num_scenes: of the kinematic stage.
-        fine_population, fine_generations, fine_scenes: of the stage in physics.
+        population, generations, num_scenes: of the learning in physics.
         eval_scenes: unseen scenes a suite; full_scenes: of those in the full model.
-        seed: of everything.
+        seed: of the learning in physics, with each controller's own added.
     """
 
+    controller: Path
     out: Path = Path("runs/transfer")
-    controller: Path | None = None
-    layout: str = "paper-31"
-    population: int = 120
-    generations: int = 400
-    num_scenes: int = 32
-    fine_population: int = 60
-    fine_generations: int = 30
-    fine_scenes: int = 16
+    population: int = 60
+    generations: int = 30
+    num_scenes: int = 16
     eval_scenes: int = 500
     full_scenes: int = 100
-    seed: int = 0
+    seed: int = 10
 
 
 class Row(NamedTuple):
+    """One seed at one stage: success on a suite in a world, and its parts; the Wilson 95 % interval
+    is that of the scenes."""
+
+    seed: int
     stage: str
     world: str
     suite: str
@@ -98,42 +100,49 @@ class Failure(NamedTuple):
     obstacles: np.ndarray
 
 
-def evolve(
-    env, world, layout, bits, config: ga.GAConfig, generations, num_scenes, seed, name, output
-):
-    """The best of the last generations' champions, compared on eight more draws of scenes."""
-    mix = world.mix(MIX)
-
-    def fitness_fn(key, theta, *, env):
-        return geometric_fitness(
-            rollout_pairs(layout, theta, mix(key, num_scenes), env, output=output)
-        )
-
-    @jax.jit
-    def advance(state, env):
-        return ga.generation(state, partial(fitness_fn, env=env), config, generations)
-
-    state = ga.init(jax.random.key(seed), layout.num_genes, config)
-    if bits is not None:
-        state = state._replace(bits=bits)
+def fine_tune(first: Controller, config: Config, seed: int) -> Any:
+    """Genes, as bits: the best of the last generations' champions on eight more draws of scenes."""
+    world = get_world("quadruped")
+    env, mix = evaluation.environment_for(first, world), world.mix(MIX)
+    settings = ga.GAConfig(population=config.population, selection="rank", mutation_rate=0.004)
+    k_start, k_search, k_last = jax.random.split(jax.random.key(config.seed + seed), 3)
+    theta = jnp.asarray(first.theta, jnp.float32)
+    start = warmstart.neighbours(k_start, theta, config.population)
+    state = ga.init(k_search, first.layout.num_genes, settings)._replace(bits=start)
+    advance, trial = _programs(first.layout, first.output, settings, mix, config)
     champions = []
-    for n in range(generations):
+    for n in range(config.generations):
         state, record = advance(state, env)
         champions.append(record.best_bits)
-        if (n + 1) % 10 == 0 or n == 0:
-            print(f"{name} {n + 1}: best {record.best:.2f} mean {record.mean:.2f}", file=sys.stderr)
-    # One generation's scenes are few: the last champions meet on many.
+        if (n + 1) % 10 == 0:
+            print(f"{n + 1}: best {record.best:.2f} mean {record.mean:.2f}", file=sys.stderr)
+    # One generation's scenes are few: the last champions meet on many.  As many candidates as
+    # genomes, so that nothing else is compiled.
     last = jnp.stack(champions[-config.population :])
-    theta = genome.decode(last, config.num_bits, config.gray)
-    trial = jax.jit(fitness_fn)
-    keys = jax.random.split(jax.random.key(seed + 1), 8)
-    scores = sum(np.log(trial(k, theta, env=env)) for k in keys)
+    last = last[jnp.arange(config.population) % len(last)]
+    theta = genome.decode(last, settings.num_bits, settings.gray)
+    scores = sum(np.log(trial(k, theta, env)) for k in jax.random.split(k_last, 8))
     return last[int(np.argmax(scores))]
 
 
-def judge(stage, controller, config: Config, worlds=("kinematic", "quadruped")) -> list[Row]:
+@cache
+def _programs(layout, output, settings: ga.GAConfig, mix, config: Config):
+    """A generation, and the fitness of genes: compiled once for all seeds."""
+
+    def fitness_fn(key, theta, env):
+        scenes = mix(key, config.num_scenes)
+        return geometric_fitness(rollout_pairs(layout, theta, scenes, env, output=output))
+
+    def advance(state, env):
+        return ga.generation(state, partial(fitness_fn, env=env), settings, config.generations)
+
+    return jax.jit(advance), jax.jit(fitness_fn)
+
+
+def judge(seed: int, stage: str, controller: Controller, config: Config) -> list[Row]:
+    """In the kinematic world and on the lean model."""
     rows = []
-    for name in worlds:
+    for name in ("kinematic", "quadruped"):
         for suite in ("open", "blocked"):
             world = get_world(name)
             options = {"capture": CAPTURE} if name == "kinematic" else {}
@@ -141,12 +150,14 @@ def judge(stage, controller, config: Config, worlds=("kinematic", "quadruped")) 
             result = evaluation.evaluate(controller, world, suite, config.eval_scenes, env=env)
             r = result.rates
             shares = [r[part].share for part in ("reach", "safe", "stop")]
-            rows.append(Row(stage, name, suite, config.eval_scenes, *r["success"], *shares))
+            rows.append(Row(seed, stage, name, suite, config.eval_scenes, *r["success"], *shares))
             _say(rows[-1])
     return rows
 
 
-def judge_full(stage, controller, config: Config) -> tuple[list[Row], list[Failure]]:
+def judge_full(
+    seed: int, stage: str, controller: Controller, config: Config
+) -> tuple[list[Row], list[Failure]]:
     """The full model in MuJoCo's C code: the ball can be pushed, everything touches."""
     from envs.quadruped import native
     from envs.quadruped.environment import heading
@@ -165,7 +176,7 @@ def judge_full(stage, controller, config: Config) -> tuple[list[Row], list[Failu
         good = np.asarray(parts.success)
         rate = statistics.wilson(int(good.sum()), config.full_scenes)
         shares = [float(np.mean(getattr(parts, p))) for p in ("reach", "safe", "stop")]
-        rows.append(Row(stage, "full", suite, config.full_scenes, *rate, *shares))
+        rows.append(Row(seed, stage, "full", suite, config.full_scenes, *rate, *shares))
         _say(rows[-1])
         for n in np.flatnonzero(~good):
             why = failures.reasons(jax.tree.map(lambda x, n=n: x[n], outcome))
@@ -204,65 +215,101 @@ def draw_failures(failed: list[Failure], path: Path, most: int = 24) -> None:
 
 def _say(row: Row) -> None:
     print(
-        f"{row.stage:12s} {row.world:10s} {row.suite:8s} success {100 * row.success:5.1f} %"
+        f"{row.seed:3d} {row.stage:12s} {row.world:10s} {row.suite:8s} {100 * row.success:5.1f} %"
         f" [{100 * row.low:.1f}, {100 * row.high:.1f}]  reach {100 * row.reach:.1f} safe"
         f" {100 * row.safe:.1f} stop {100 * row.stop:.1f}  ({row.num_scenes} scenes)",
         flush=True,
     )
 
 
-def run(config: Config) -> tuple[list[Row], list[Failure]]:
-    """Train (or load), judge, fine-tune in physics, judge again."""
-    script.check_least(
-        config,
-        **dict.fromkeys(("population", "fine_population"), 2),
-        **dict.fromkeys(("generations", "fine_generations", "num_scenes", "fine_scenes"), 1),
-        **dict.fromkeys(("eval_scenes", "full_scenes"), 1),
-    )
-    first = None if config.controller is None else fntg_jax.load(config.controller)
-    kinematic, physics = get_world("kinematic"), get_world("quadruped")
-    settings = ga.GAConfig(population=config.population, selection="rank", mutation_rate=0.004)
-    if first is None:
-        layout = get_layout(config.layout)
-        best = evolve(
-            kinematic.make(capture=CAPTURE), kinematic, layout, None, settings,
-            config.generations, config.num_scenes, config.seed, "kinematic", "scale",
-        )  # fmt: skip
-        first = export.from_bits(layout, np.asarray(best), provenance={"env": "kinematic"})
-        export.save(first, config.out / "kinematic.json")
-    rows = judge("kinematic", first, config)
-    full, failed = judge_full("kinematic", first, config)
-    settings = dataclasses.replace(settings, population=config.fine_population)
-    start = warmstart.neighbours(
-        jax.random.key(config.seed), jnp.asarray(first.theta, jnp.float32), config.fine_population
-    )
-    best = evolve(
-        evaluation.environment_for(first, physics), physics, first.layout, start, settings,
-        config.fine_generations, config.fine_scenes, config.seed + 10, "physics", first.output,
-    )  # fmt: skip
+def starts(path: Path) -> dict[int, Controller]:
+    """seed -> its controller, of a run folder or a parameter file.  Raises ValueError (one line)
+    where it cannot be read."""
+    if not path.is_dir():
+        return {0: fntg_jax.load(path)}
+    config = config_file.load(path)
+    seeds = range(config.first_seed, config.first_seed + config.seeds)
+    return {seed: controllers.of_seed(path, seed) for seed in seeds}
+
+
+def one_seed(seed: int, first: Controller, config: Config) -> list[Row]:
+    """Judge, fine-tune in physics, judge again."""
+    rows = judge(seed, "kinematic", first, config)
+    full, failed = judge_full(seed, "kinematic", first, config)
     tuned = export.from_bits(
         first.layout,
-        np.asarray(best),
+        np.asarray(fine_tune(first, config, seed)),
         limits=first.limits,
         output=first.output,
         control_dt=first.control_dt,
         provenance={"env": "quadruped"},
     )
-    export.save(tuned, config.out / "fine-tuned.json")
-    rows += full + judge("fine-tuned", tuned, config)
-    full, more = judge_full("fine-tuned", tuned, config)
-    return rows + full, failed + more
+    export.save(tuned, config.out / f"fine-tuned-{seed}.json")
+    rows += full + judge(seed, "fine-tuned", tuned, config)
+    full, more = judge_full(seed, "fine-tuned", tuned, config)
+    if failed + more:
+        draw_failures(failed + more, config.out / f"failures-{seed}.png")
+    return rows + full
+
+
+def run(config: Config) -> list[Row]:
+    """All rows, those that transfer.csv has and new ones."""
+    least = {f.name: 1 for f in dataclasses.fields(config) if f.type is int}
+    script.check_least(config, **{**least, "population": 2, "seed": 0})
+    path = config.out / "transfer.csv"
+    first = starts(config.controller)
+    rows = read(path) if path.exists() else []
+    for seed, controller in first.items():
+        if all(row.seed != seed for row in rows):
+            rows += one_seed(seed, controller, config)
+            script.write_csv(path, Row._fields, rows)
+    return rows
+
+
+def read(path: Path) -> list[Row]:
+    """Rows of the CSV.  Raises ValueError when it is not one of ours."""
+    with path.open(newline="", encoding="utf-8") as file:
+        lines = list(csv.reader(file))
+    kinds = Row.__annotations__.values()
+    try:
+        if lines[0] != list(Row._fields):
+            raise ValueError
+        return [Row(*(k(x) for k, x in zip(kinds, line, strict=True))) for line in lines[1:]]
+    except (ValueError, IndexError):
+        raise ValueError(f"{path}: not written by this script") from None
+
+
+def table(rows: list[Row]) -> str:
+    """Markdown: by world and suite, medians over seeds of success before and after, and of the
+    difference; 95 % bootstrap intervals, percent and percentage points."""
+    lines = [
+        f"{len({row.seed for row in rows})} seeds: median [95 % interval]",
+        "",
+        "| world | suite | kinematic, % | fine-tuned, % | difference, points | better, worse |",
+        "|---|---|---|---|---|---|",
+    ]
+    for world, suite in dict.fromkeys((row.world, row.suite) for row in rows):
+        before, after = (
+            np.asarray([100 * r.success for r in rows if r[1:4] == (stage, world, suite)])
+            for stage in ("kinematic", "fine-tuned")
+        )
+        change = after - before
+        cells = [_interval(before, ""), _interval(after, ""), _interval(change, "+")]
+        told = f"{(change > 0).sum()}, {(change < 0).sum()}"
+        lines.append(f"| {world} | {suite} | {' | '.join(cells)} | {told} |")
+    return "\n".join(lines)
+
+
+def _interval(values: np.ndarray, sign: str) -> str:
+    low, middle, high = statistics.bootstrap_median(values)
+    return f"{middle:{sign}.1f} [{low:{sign}.1f}, {high:{sign}.1f}]"
 
 
 def main(argv: list[str] | None = None) -> None:
     config = tyro.cli(Config, args=argv)
     xla.configure()
     with script.folder(config.out):
-        rows, failed = run(config)
-        script.write_csv(config.out / "transfer.csv", Row._fields, rows)
-        if failed:
-            draw_failures(failed, config.out / "failures.png")
-            print(config.out / "failures.png")
+        print(table(run(config)))
 
 
 if __name__ == "__main__":

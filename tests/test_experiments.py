@@ -94,13 +94,13 @@ def test_transfer_end_to_end(tmp_path):
 
     controller = random_controller(seed=3)
     export.save(controller, tmp_path / "first.json")
-    small = ["fine-population", "4", "fine-generations", "1", "fine-scenes", "2"]
+    small = ["population", "4", "generations", "1", "num-scenes", "2"]
     small += ["eval-scenes", "4", "full-scenes", "2"]
     arguments = [f"--{x}" if n % 2 == 0 else x for n, x in enumerate(small)]
     out = tmp_path / "out"
     transfer.main(["--controller", str(tmp_path / "first.json"), "--out", str(out), *arguments])
     table = (out / "transfer.csv").read_text().splitlines()
-    places = [line.split(",")[:3] for line in table[1:]]
+    places = [line.split(",")[1:4] for line in table[1:]]
     worlds = ("kinematic", "quadruped", "full")
     assert places == [
         [stage, world, suite]
@@ -108,5 +108,9 @@ def test_transfer_end_to_end(tmp_path):
         for world in worlds
         for suite in ("open", "blocked")
     ]
-    assert export.load(out / "fine-tuned.json").layout.name == controller.layout.name
-    assert (out / "failures.png").exists()
+    assert export.load(out / "fine-tuned-0.json").layout.name == controller.layout.name
+    assert (out / "failures-0.png").exists()
+    # What is there is not done again.
+    again = transfer.run(transfer.Config(tmp_path / "first.json", out))
+    assert len(again) == len(table) - 1
+    assert "| quadruped | blocked |" in transfer.table(again)
