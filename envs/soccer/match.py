@@ -14,7 +14,7 @@ want the speed put the batch last instead and call `step_batch` and `sense_batch
 import dataclasses
 import math
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -148,6 +148,13 @@ class Match:
     def steps(self) -> int:
         """Control steps until every match has finished: two halves and the break."""
         return 2 * self.half_steps + math.ceil(self.rules.break_time / self.dt) + 2
+
+    @property
+    def identify(self) -> Any:
+        """How a body's table is found from recordings: `envs.soccer.identify`."""
+        from envs.soccer import identify
+
+        return identify
 
     # One match.
 

@@ -32,6 +32,7 @@ COMMANDS = {
     "match": "two teams, many matches under the referee: goals, wins, statistics",
     "league": "a round robin of teams: table, ratings, cross table, replays",
     "bench": "a score card of a team or controller on frozen scenes and matches",
+    "fit": "a body's table from recordings of the robot",
     "say": "a robot's message as sound: a WAV file",
     "listen": "the robots' messages in recorded sounds",
     "doctor": "versions, devices, cache and rendering, against what was tested",

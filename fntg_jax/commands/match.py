@@ -108,7 +108,9 @@ def main(argv: list[str]) -> None:
     pair("team", (home.team[-22:], away.team[-22:]))
     pair("goals", [f"{s.goals:.2f} ({_span(s.goals_interval)})" for s in (home, away)])
     pair("wins", [str(s.wins) for s in (home, away)])
-    pair("points", [f"{100 * s.points:.1f} %" for s in (home, away)])
+    pair(
+        "points", [f"{100 * s.points:.1f} % ({_percent(s.points_interval)})" for s in (home, away)]
+    )
     for name in COLUMNS:
         unit = (lambda v: f"{100 * v:.1f} %") if name == "possession" else (lambda v: f"{v:.2f}")
         pair(name.replace("_", " "), [unit(s.means[name]) for s in (home, away)])
@@ -187,6 +189,10 @@ def _span(interval: tuple[float, float]) -> str:
     return f"{interval[0]:.2f}-{interval[1]:.2f}"
 
 
+def _percent(interval: tuple[float, float]) -> str:
+    return f"{100 * interval[0]:.1f}-{100 * interval[1]:.1f}"
+
+
 def _document(summary) -> dict:
     return {
         "team": summary.team,
@@ -195,6 +201,7 @@ def _document(summary) -> dict:
         "wins": summary.wins.share,
         "wins_interval": [summary.wins.low, summary.wins.high],
         "points": summary.points,
+        "points_interval": list(summary.points_interval),
         **{name: summary.means[name] for name in COLUMNS},
     }
 

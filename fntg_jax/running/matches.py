@@ -140,13 +140,14 @@ def _shared(match: Any, home: play.Side, away: play.Side, num_devices: int) -> C
 
 class Summary(NamedTuple):
     """One team over many matches: means a match; goals with a bootstrap 95 % interval, wins a
-    Wilson one; points: wins plus half of the draws, as a share."""
+    Wilson one; points: wins plus half of the draws, as a share, with a bootstrap interval."""
 
     team: str
     goals: float
     goals_interval: tuple[float, float]
     wins: Rate
     points: float
+    points_interval: tuple[float, float]
     means: dict[str, float]
 
 
@@ -172,6 +173,7 @@ def summarize(results: Results, names: tuple[str, str]) -> tuple[Summary, Summar
                 bootstrap_mean_of_counts(goals[:, k]),
                 wins,
                 wins.share + 0.5 * draws.share,
+                bootstrap_mean(0.5 + 0.5 * np.sign(goals[:, k] - goals[:, 1 - k])),
                 means,
             )
         )
