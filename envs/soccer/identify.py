@@ -155,8 +155,8 @@ def table(body: tables.Body, name: str, source: str, fitted: list[Fitted], extra
     document: dict[str, Any] = {"format": "fntg-body", "version": 1}
     for key, value in new._asdict().items():
         if isinstance(value, tuple):
-            names, rows = value._fields, zip(*value)
-            value = [dict(zip(names, row)) for row in rows]
+            columns = value._asdict()  # type: ignore[attr-defined]
+            value = [dict(zip(columns, row)) for row in zip(*value)]
         document[key] = value
     return new, json.dumps(document, indent=1, allow_nan=False) + "\n"
 

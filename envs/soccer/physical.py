@@ -170,7 +170,7 @@ class Physical:
         far = np.hypot(r.x - x, r.y - y)[:, 0] > _MOVED
         stands_up = (fallen & ~r.fallen)[:, 0]
         for k in np.flatnonzero(far | stands_up):
-            self._put(k, *(float(a[k, 0]) for a in (r.x, r.y, r.cos, r.sin)))
+            self._put(int(k), *(float(a[k, 0]) for a in (r.x, r.y, r.cos, r.sin)))
         ball = new.ball
         if np.hypot(ball.x[0] - ball_x, ball.y[0] - ball_y) > _MOVED:
             self._put_ball(float(ball.x[0]), float(ball.y[0]))

@@ -53,7 +53,7 @@ def mixture(sides: Sequence[Side]) -> tuple[Side, Any]:
 
 
 def _same(a: Side, b: Side) -> bool:
-    structures = [jax.tree.structure(x.team) for x in (a, b)]
+    structures: list[Any] = [jax.tree.structure(x.team) for x in (a, b)]
     return (a.begin, a.control, a.truth) == (b.begin, b.control, b.truth) and (
         structures[0] == structures[1]
         and [jnp.shape(x) for x in jax.tree.leaves(a.team)]

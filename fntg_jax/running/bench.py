@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from fntg_jax.controller.controller import Controller
-from fntg_jax.running import evaluation, matches, registry
-from fntg_jax.running.evaluation import wilson
+from fntg_jax.running import evaluation, matches, registry, statistics
 from fntg_jax.running.provenance import version
+from fntg_jax.running.statistics import wilson
 
 VERSION = 1
 OPPONENTS = ("still", "random", "chaser", "cerberus")
@@ -56,9 +56,9 @@ def of_team(name: str, share: float = 1.0) -> dict[str, Any]:
         results = matches.play_matches(match, side, matches.get_team(opponent, match, 1), num, SEED)
         goals = results.statistics["goals"].astype(int)
         won, drawn = (int((np.sign(goals[:, 0] - goals[:, 1]) == k).sum()) for k in (1, 0))
-        low, high = matches.bootstrap_mean(goals[:, 0] - goals[:, 1])
+        low, high = statistics.bootstrap_mean_of_counts(goals[:, 0] - goals[:, 1])
         points = 0.5 + 0.5 * np.sign(goals[:, 0] - goals[:, 1])
-        p_low, p_high = matches.bootstrap_mean(points)
+        p_low, p_high = statistics.bootstrap_mean_of_counts(points)
         against[opponent] = {
             "matches": num,
             "points": float(points.mean()),

@@ -27,7 +27,8 @@ def conclude(
     problem, rows, coding = evolved.problem, evolved.rows, evolved.problem.config.ga
     config, task = problem.config, problem.task
     assert task is not None and task.judge is not None
-    judge, names = task.judge, []
+    judge = task.judge
+    names: list[str] = []
 
     def one_seed(draw, state, theta):
         key = jax.random.split(jax.random.fold_in(state.key, JUDGE), 4)[draw]

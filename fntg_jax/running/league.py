@@ -101,8 +101,8 @@ def play_league(
         rows = slice(start, start + _CHUNK)
         columns = home[rows], away[rows], seeds[rows]
         surplus = -len(columns[0]) % len(devices)
-        columns = tuple(np.pad(c, (0, surplus), mode="edge") for c in columns)
-        played = program((home_teams, away_teams), *columns)
+        padded = (np.pad(c, (0, surplus), mode="edge") for c in columns)
+        played = program((home_teams, away_teams), *padded)
         size = len(seeds[rows])
         parts.append({k: np.asarray(v)[:size] for k, v in played._asdict().items()})
         say(min(start + _CHUNK, len(seeds)), len(seeds))

@@ -173,7 +173,7 @@ def summarize(results: Results, names: tuple[str, str]) -> tuple[Summary, Summar
                 bootstrap_mean_of_counts(goals[:, k]),
                 wins,
                 wins.share + 0.5 * draws.share,
-                bootstrap_mean(0.5 + 0.5 * np.sign(goals[:, k] - goals[:, 1 - k])),
+                bootstrap_mean_of_counts(0.5 + 0.5 * np.sign(goals[:, k] - goals[:, 1 - k])),
                 means,
             )
         )

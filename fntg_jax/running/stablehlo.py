@@ -71,7 +71,7 @@ def write(team: str, folder: Path) -> float:
     shirt = np.int32(SHIRT)
     memory = jax.eval_shape(partial(side.begin, side.team), shirt, pose)
     one = jax.tree.map(lambda x: x[0], senses)
-    structure = [jax.tree.structure(x) for x in (memory, one)]
+    structure: list[Any] = [jax.tree.structure(x) for x in (memory, one)]
     num = structure[0].num_leaves
 
     def begin(shirt, pose):

@@ -115,7 +115,8 @@ def family(match: Any, home: bool, file: team_file.TeamFile, bioa: bool) -> Side
     """Cerberus as a side whose parameters are genes alone: (Genes, BIOA's theta or ()), of which
     every match may have its own; the body's tables and the field are constants."""
     base = cerberus.of(file.genes, file.bioa, match, 0 if home else 1, file.goalkeeper)
-    base = jax.tree.map(np.asarray, base._replace(bioa=()))._replace(bioa=file.bioa)
+    numbers: Any = base._replace(bioa=())  # type: ignore[arg-type]
+    base = jax.tree.map(np.asarray, numbers)._replace(bioa=file.bioa)
 
     def own(team):
         genes, theta = team
@@ -151,12 +152,12 @@ def genes_of(file: team_file.TeamFile, bioa: bool) -> tuple[Gene, ...]:
     found = []
     for gene, value in zip(GENES, file.genes):
         about = _SPREAD * (gene.high - gene.low)
-        start = max(gene.low, value - about), min(gene.high, value + about)
+        start = max(gene.low, float(value) - about), min(gene.high, float(value) + about)
         found.append(Gene(gene.name, gene.unit, gene.low, gene.high, start))
     if bioa:
-        for gene, value in zip(file.bioa.layout.genes, file.bioa.theta):
-            start = max(gene.low, value - _BIOA_SPREAD), min(gene.high, value + _BIOA_SPREAD)
-            found.append(Gene(f"bioa {gene.name}", "1", gene.low, gene.high, start))
+        for own, x in zip(file.bioa.layout.genes, map(float, file.bioa.theta)):
+            start = max(own.low, x - _BIOA_SPREAD), min(own.high, x + _BIOA_SPREAD)
+            found.append(Gene(f"bioa {own.name}", "1", own.low, own.high, start))
     return tuple(found)
 
 
