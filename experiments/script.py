@@ -44,3 +44,12 @@ def check_files(options: Any, *names: str) -> None:
         path = getattr(options, name)
         if path is not None and (path.is_dir() or not path.parent.is_dir()):
             raise ValueError(f"{name} = {path}: allowed is a file in a folder that exists")
+
+
+@contextlib.contextmanager
+def lines() -> Iterator[None]:
+    """A ValueError ends the script with one line and status 2."""
+    try:
+        yield
+    except ValueError as error:
+        refuse(str(error))

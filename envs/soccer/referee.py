@@ -348,7 +348,7 @@ def judge(
     robots = bring_back(robots, ball, direction, game.hand, playing, dt, field)
     robots = send_off(rules, robots, called, direction, game.hand)
     ball, spot_x, spot_y, stuck, freed = unstick(
-        rules, robots, ball, game, playing & ~(scored[0] | scored[1]), dt
+        rules, robots, ball, game, (game.phase == PLAY) & playing & ~(scored[0] | scored[1]), dt
     )
     game = game._replace(spot_x=spot_x, spot_y=spot_y, stuck=stuck)
 

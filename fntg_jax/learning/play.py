@@ -256,3 +256,30 @@ def record(
     statistics = jax.tree.map(lambda a: a[..., 0], state.statistics)
     picture, believed, theirs = seen
     return History(picture, believed, theirs, actions, statistics)
+
+
+def applied(
+    match: Any, home: Side, away: Side, seeds: Int[Array, " M"], num_steps: int | None = None
+) -> Int[Array, "roles rules"]:
+    """How often each of the home team's rules decided, by the robot's role at that moment.
+
+    Counted in control steps of all its robots on the field in matches of these seeds."""
+    steps = match.steps if num_steps is None else num_steps
+    state = match.reset(kickoffs(seeds), seeds)
+    assert home.believe is not None
+    roles, rules = jnp.arange(len(home.words.roles)), jnp.arange(len(home.words.rules))
+    believe = jax.vmap(partial(home.believe, home.team), in_axes=-1)
+
+    def step(carry, _):
+        (state, memories), counts = carry
+        carry, _ = control_step(match, home, away, (state, memories))
+        belief = believe(carry[1][0])
+        on = state.robots.out[: match.players].reshape(-1) <= 0
+        role = (belief.role[:, None] == roles) & on[:, None]
+        rule = belief.rule[:, None] == rules
+        counts += (role[:, :, None] & rule[:, None, :]).sum(0)
+        return (carry, counts), None
+
+    zero = jnp.zeros((len(roles), len(rules)), jnp.int32)
+    carry = (state, begin(match, home, away, state))
+    return jax.lax.scan(step, (carry, zero), None, length=steps)[0][1]

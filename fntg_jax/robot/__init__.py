@@ -28,11 +28,10 @@ from fntg_jax.robot.genes import Genes
 from fntg_jax.robot.geometry import angle, unit
 from fntg_jax.robot.messages import Heard, LocalMap, Order
 
-__all__ = ["Memory", "Team", "begin", "control"]
+__all__ = ["Memory", "Team", "begin", "carry_out", "control", "perceive"]
 
 DT = 0.1  # s, a control step
 _SCAN = 0.7  # s without a sight of the ball after which the head scans for it (assumed)
-_PENALISED = SIGNALS.index("penalised")
 _OWN_KICKOFF, _THEIR_KICKOFF = SIGNALS.index("kick-off own"), SIGNALS.index("kick-off theirs")
 _PENALISED = SIGNALS.index("penalised")
 _FALLEN = 5.0  # m/s^2, acceleration along the body's z below which it does not stand (g is 9.8)
@@ -65,7 +64,8 @@ class Memory(NamedTuple):
     """What a robot carries from one control step to the next.
 
     shirt: 0, 1, ...; step: control steps since it began; signal: the referee's last; role: index
-    into `planner.ROLES`; rule: index into `planner.RULES` of the one that chose the last order.
+    into `planner.ROLES`; rule: index into `planner.RULES` of the one that chose the last order;
+    held: s since when the ball has lain at the chest.
     """
 
     shirt: Int[Array, ""]
@@ -73,6 +73,7 @@ class Memory(NamedTuple):
     signal: Int[Array, ""]
     role: Int[Array, ""]
     rule: Int[Array, ""]
+    held: Float[Array, ""]
     order: Order
     belief: localization.Belief
     map: LocalMap
@@ -93,6 +94,7 @@ def begin(team: Team, shirt: Int[Array, ""], pose: Float[Array, "3"]) -> Memory:
         signal=index,
         role=jnp.where(shirt == 0, planner.GOALKEEPER, planner.SUPPORTER).astype(jnp.int32),
         rule=index,
+        held=zero,
         order=Order(index + 1, need),
         belief=localization.begin(pose),
         map=local_map.empty(),
@@ -112,6 +114,13 @@ def _pick(table: Array, index: Array) -> Array:
 
 def control(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, Action]:
     """One control step of one robot: the boxes in the figure's order."""
+    memory, facts = perceive(team, memory, senses)
+    order, rule = planner.decide(facts, team.genes)
+    return carry_out(team, memory._replace(rule=rule), senses, facts, order)
+
+
+def perceive(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, planner.Facts]:
+    """Vision, Localization, Communication, and what the Planner's decision rests on."""
     # Vision: what is seen, in the robot's frame.
     seen = sight.locate(senses.frame, senses.head, team.sizes)
     # Locomotion's estimate of the way since the last step.
@@ -132,12 +141,12 @@ def control(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, Action]
     pose = localization.pose(belief)
     # Communication: words of the teammates.
     heard = communication.merge(memory.heard, senses.heard, senses.heard_valid, memory.shirt, DT)
-    # Planner: local map, role, choice of behaviour.
+    # Planner: local map and facts.
     around = local_map.moved(memory.map, way, turn, DT)
     around = local_map.placed(around, pose, begins)
     around = local_map.sighted(around, seen, DT)
     around = local_map.told(around, heard, pose, team.genes.word_trusted)
-    f = planner.facts(
+    facts = planner.facts(
         around,
         pose,
         heard,
@@ -148,44 +157,53 @@ def control(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, Action]
         team.ground,
         (jnp.asarray(senses.proximity), senses.head[1]),
         team.goalkeeper,
+        senses.signal == _THEIR_KICKOFF,
+        memory.held,
+        DT,
     )
-    order, rule = planner.decide(f, team.genes)
-    # Behaviors: velocities and walking style, or a kick.
+    return memory._replace(
+        signal=senses.signal,
+        role=facts.role,
+        held=facts.held,
+        belief=belief,
+        map=around,
+        heard=heard,
+    ), facts
+
+
+def carry_out(
+    team: Team, memory: Memory, senses: Senses, facts: planner.Facts, order: Order
+) -> tuple[Memory, Action]:
+    """Behaviors, the head, a word when it is our turn, and Locomotion's command."""
     motion = behaviors.act(order.behavior, order.need, team.speeds, team.bioa)
-    spreads = (f.role == planner.GOALKEEPER) & f.known & (f.incoming > team.genes.save_speed)
-    spreads &= (f.arrival < team.genes.spread_time) & (jnp.abs(f.crossing) < 0.3)
+    spreads = (order.behavior == 8) & facts.known & (facts.incoming > team.genes.save_speed)
+    spreads &= (facts.arrival < team.genes.spread_time) & (jnp.abs(facts.crossing) < 0.3)
     posture = jnp.where(spreads, team.spread, motion.posture)
     fallen = senses.acceleration[2] < _FALLEN
     posture = jnp.where(fallen, team.get_up, posture)
     motion = motion._replace(posture=posture, kick=jnp.where(fallen, 0, motion.kick))
     # Vision moves the head.
+    around, pose = memory.map, localization.pose(memory.belief)
     ball = around.distance[0] * around.cos[0], around.distance[0] * around.sin[0]
     look, head = gaze.look(
-        memory.gaze, around.age[0] < _SCAN, ball, jnp.asarray(team.genes.glance), DT
+        memory.gaze, around.age[0] < _SCAN, ball, pose, team.map, jnp.asarray(team.genes.glance), DT
     )
-    # Locomotion: what the body is asked for; Communication: a word when it is our turn.
+    # Communication.
     word = communication.Word(
         sender=memory.shirt,
-        role=f.role,
+        role=memory.role,
         x=pose.x,
         y=pose.y,
         heading=angle(pose.cos, pose.sin),
         sd=pose.sd,
         ball_x=pose.x + pose.cos * ball[0] - pose.sin * ball[1],
         ball_y=pose.y + pose.sin * ball[0] + pose.cos * ball[1],
-        ball_age=jnp.where(f.known, around.age[0], jnp.inf),
+        ball_age=jnp.where(facts.known, around.age[0], jnp.inf),
     )
     speaks = communication.turn(memory.shirt, memory.step)
     say: UInt32[Array, 2] = jnp.where(speaks, communication.pack(word), jnp.uint32(0))
+    # The ball will have gone before the head, which a kick holds still, sees it again.
+    around = local_map.kicked(around, motion.kick, team.kicks.direction, team.kicks.speed)
     return memory._replace(
-        step=memory.step + 1,
-        signal=senses.signal,
-        role=f.role,
-        rule=rule,
-        order=order,
-        belief=belief,
-        map=around,
-        heard=heard,
-        gaze=look,
-        head=head,
+        step=memory.step + 1, order=order, map=around, gaze=look, head=head
     ), locomotion.action(motion, head, say)

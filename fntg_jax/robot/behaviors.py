@@ -37,8 +37,8 @@ Bioa = Callable[[Scalar, Scalar, Scalar, Scalar], tuple[Scalar, Scalar]]
 
 _TURN = 2.0  # 1/s, turning rate for an error of direction
 _GAIN = 1.5  # 1/s, speed for an error of distance
-_BALL_AHEAD = 0.165  # m, distance to the ball from which it can be circled and kicked: the chest is
-# at 0.10 m, the ball's radius 0.042 m
+BALL_AHEAD = 0.20  # m, distance to the ball at which it is circled: the chest is at 0.10 m, the
+# ball's radius 0.042 m, and who stays within 2 cm of a ball that lies holds it, says the referee
 _STILL = 0.006  # m, an error of distance below which nothing is done about it
 
 
@@ -88,7 +88,7 @@ def align(need: Need, speeds: Speeds) -> Motion:
     the robot steps to the right while the goal lies to the left, and the other way about.
     DEFAULT: sideways and turning at once.
     """
-    return _circle(need, speeds, _BALL_AHEAD)
+    return _circle(need, speeds, BALL_AHEAD)
 
 
 def _circle(need, speeds, radius):
@@ -134,7 +134,7 @@ def kick(need: Need, speeds: Speeds) -> Motion:
 def bioa(need: Need, speeds: Speeds, trajectory: Bioa) -> Motion:
     """Row 7: intercept the ball and avoid the obstacle; `trajectory` is the trained controller.
 
-    DEFAULT: the style that the controller was trained for.
+    DEFAULT and not FAST, which a push fells.
     """
     v, omega = trajectory(need.d_ball, need.d_obstacle, need.ball, need.obstacle)
     return _motion(
@@ -163,7 +163,7 @@ def rotate(need: Need, speeds: Speeds) -> Motion:
 
     As row 3, from a little further off: the own goal is behind.
     """
-    return _circle(need, speeds, _BALL_AHEAD + 0.02)
+    return _circle(need, speeds, BALL_AHEAD + 0.02)
 
 
 def act(behavior: Array, need: Need, speeds: Speeds, trajectory: Bioa) -> Motion:

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from fntg_jax.robot.geometry import angle, length
+from fntg_jax.robot.geometry import angle, length, unit
 from fntg_jax.robot.messages import Displacement, Pose, Scalar, Seen
 
 
@@ -89,11 +89,12 @@ def begin(pose: Float[Array, "3"], sd: float = 0.03, sd_heading: float = 0.1) ->
     sd_heading (rad)."""
     nobody = unknown(jnp.shape(pose[0]))
     zero = jnp.zeros_like(nobody.x)
+    cos, sin = unit(pose[2])
     return nobody._replace(
         x=pose[0] + zero,
         y=pose[1] + zero,
-        cos=jnp.cos(pose[2]) + zero,
-        sin=jnp.sin(pose[2]) + zero,
+        cos=cos + zero,
+        sin=sin + zero,
         xx=zero + sd**2,
         yy=zero + sd**2,
         hh=zero + sd_heading**2,

@@ -19,11 +19,16 @@ def action(motion: Motion, head: Float[Array, "3"], say: UInt32[Array, "2"]) -> 
     return Action(walk, head, motion.kick, motion.posture, say)
 
 
-def displacement(senses: Senses, dt: float, trust_gyro: float = 0.7) -> Displacement:
+_PUSHED = 0.25  # rad/s: what the gyroscope says beyond the odometry by more than that is a push
+
+
+def displacement(senses: Senses, dt: float) -> Displacement:
     """The way since the last step, from the gait's odometry; the turn also by the gyroscope.
 
-    trust_gyro: weight of the gyroscope's turn, which slips less than the feet (assumed).
+    The feet know the turn better over time, because the gyroscope's offset adds up; they do not
+    know of a push, which shows as a difference of the two far beyond both errors.
     """
     way = senses.displacement
-    turn = (1 - trust_gyro) * way[2] + trust_gyro * senses.gyro[2] * dt
-    return Displacement(way[0], way[1], turn)
+    push = senses.gyro[2] - way[2] / dt
+    beyond = push - jnp.clip(push, -_PUSHED, _PUSHED)
+    return Displacement(way[0], way[1], way[2] + beyond * dt)

@@ -10,8 +10,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from fntg_jax.robot.behaviors import BALL_AHEAD
 from fntg_jax.robot.genes import Genes
-from fntg_jax.robot.geometry import angle, length, wrap
+from fntg_jax.robot.geometry import angle, length, unit, wrap
 from fntg_jax.robot.local_map import BALL, MATES, OPPONENTS
 from fntg_jax.robot.messages import Heard, LocalMap, Need, Order, Pose, Scalar
 
@@ -19,17 +20,24 @@ ROLES = ("goalkeeper", "attacker", "supporter")
 GOALKEEPER, ATTACKER, SUPPORTER = range(3)
 
 _ROBOT = 0.11  # m, radius of the disc that another robot is taken for (body 0.289 x 0.152 m)
-_HALF_LENGTH = 0.145  # m, of the robot's body
+_AREA_DEPTH, _AREA_SIDE = 0.40, 0.55  # m, of the own penalty area, with a margin for a body
+_LIES = 0.10  # m/s, below which a ball is taken to lie
+_HELD_AHEAD = 0.175  # m, from the centre, within which it lies at the chest
+_DIAGONAL = 0.70711
+_ROUND = 1.2  # rad, around the ball at a time: a straight way to there does not touch it
+_NO_OBSTACLE = 3.0  # m, the distance that BIOA is told where there is none
 
 
 class Kicks(NamedTuple):
     """The body's table of kicks, leaves [kicks], in the robot's frame.
 
-    direction: rad, of the ball afterwards; low_x .. high_x, low_y .. high_y: m, where the ball has
-    to lie for it.
+    direction: rad, of the ball afterwards; speed: m/s; reach: m, how far it rolls; low_x .. high_x,
+    low_y .. high_y: m, where the ball has to lie for it.
     """
 
     direction: Float[Array, " kicks"]
+    speed: Float[Array, " kicks"]
+    reach: Float[Array, " kicks"]
     low_x: Float[Array, " kicks"]
     high_x: Float[Array, " kicks"]
     low_y: Float[Array, " kicks"]
@@ -49,8 +57,12 @@ class Facts(NamedTuple):
 
     known: the ball is on the map; d_ball, ball: its distance and direction; aim: direction in which
     it is to be pushed, seen from the ball; misaligned: by how much the robot is off from behind it;
-    kick: the best kick; kickable: the ball lies in its zone and would go where it is wanted;
-    to_goal, to_own: distance of the ball from both goals; target, d_target:
+    kick: the best kick for a ball in its zone; shot: it would roll into the goal past everybody;
+    gain: by how much it would bring the ball nearer to the goal, m (-9: no kick's zone has the
+    ball); at_wall: the ball lies at a wall; barred: it lies in the own penalty area, where field
+    players have to keep out; waits: the others kick off; held: how long the ball has lain at the
+    chest;
+    to_own: distance of the ball from the own goal; target, d_target:
     the place of the role; approach, d_approach: the place behind the ball; arrival: time until the
     ball passes the robot; crossing: how far to the right it will, m; incoming: speed towards it;
     d_obstacle, obstacle: the nearest; role: index into `ROLES`.
@@ -62,8 +74,12 @@ class Facts(NamedTuple):
     aim: Scalar
     misaligned: Scalar
     kick: Int[Array, ""]
-    kickable: Bool[Array, ""]
-    to_goal: Scalar
+    shot: Bool[Array, ""]
+    gain: Scalar
+    at_wall: Bool[Array, ""]
+    barred: Bool[Array, ""]
+    waits: Bool[Array, ""]
+    held: Scalar
     to_own: Scalar
     target: Scalar
     d_target: Scalar
@@ -74,7 +90,6 @@ class Facts(NamedTuple):
     incoming: Scalar
     d_obstacle: Scalar
     obstacle: Scalar
-    search: Scalar
     role: Int[Array, ""]
 
 
@@ -89,38 +104,50 @@ def facts(
     ground: Ground,
     proximity: tuple[Scalar, Scalar],
     goalkeeper: Array,
+    waits: Array,
+    held: Scalar,
+    dt: float,
 ) -> Facts:
     """What the decision rests on.
 
-    role: of the last step; shirt: 0, 1, ...; proximity: the head's infrared distance (m) and the
-    direction it was measured in (rad); goalkeeper: whether shirt 0 keeps the goal.
+    role, held: of the last step; shirt: 0, 1, ...; proximity: the head's infrared distance (m) and
+    the direction it was measured in (rad); goalkeeper: whether shirt 0 keeps the goal;
+    waits: whether the others kick off; dt: s.
     """
     d_ball = memory.distance[BALL]
     bx, by = d_ball * memory.cos[BALL], d_ball * memory.sin[BALL]
     ball = angle(bx, by)
     known = memory.age[BALL] < genes.ball_forgotten
-    # The ball in the team's frame, and where it is to go: the middle of the opponents' goal.
+    # The ball in the team's frame, and where it is to go.
     east = pose.x + pose.cos * bx - pose.sin * by
     north = pose.y + pose.sin * bx + pose.cos * by
     east = jnp.clip(east, -ground.half_length, ground.half_length)
     north = jnp.clip(north, -ground.half_width, ground.half_width)
-    gx, gy = ground.half_length + 0.1 - east, -north
-    to_goal = length(gx, gy)
     to_own = length(east + ground.half_length, north)
-    # The place behind the ball, kept off the walls: beside a wall the ball is pushed along it.
-    px, py = _inside(
-        east - genes.behind * gx / to_goal, north - genes.behind * gy / to_goal, genes.wall, ground
-    )
-    ax, ay = east - px, north - py
-    aim = _relative(ax, ay, pose)
+    lanes = _lanes(memory, pose, bx, by, genes)
+    gx, gy = _opening(east, north, lanes, genes, ground)
+    gx, gy, at_wall = _off_wall(gx, gy, east, north, genes, ground)
+    keeps = (shirt == 0) & goalkeeper
+    barred = (east < _AREA_DEPTH - ground.half_length) & (jnp.abs(north) < _AREA_SIDE) & ~keeps
+    aim = _relative(gx, gy, pose)
     misaligned = wrap(aim - ball)
+    # The place behind the ball, or on the way round it: no farther round than `_ROUND`.
+    c, s = unit(ball + jnp.clip(misaligned, -_ROUND, _ROUND))
+    px, py = bx - genes.behind * c, by - genes.behind * s
+    px, py = pose.x + pose.cos * px - pose.sin * py, pose.y + pose.sin * px + pose.cos * py
+    px, py = _inside(px, py, genes.wall, ground)
+    px = _out_of_area(px, py, keeps, ground)
     # Far off and misaligned: to the place behind the ball; else to the ball.
     share = jnp.clip(jnp.abs(misaligned) / genes.straight_on - 1.0, 0.0, 1.0)
     tx, ty = east + share * (px - east), north + share * (py - north)
+    tx = _out_of_area(tx, ty, keeps, ground)
     approach_x, approach_y = _local(tx, ty, pose)
 
-    kick, kickable = _best_kick(bx, by, aim, genes, kicks)
-    keeps = (shirt == 0) & goalkeeper
+    kick, shot, gain = _best_kick(bx, by, east, north, pose, lanes, genes, kicks, ground)
+    # How long the ball has lain at the chest.
+    slow = memory.velocity[0] ** 2 + memory.velocity[1] ** 2 < _LIES**2
+    at_chest = (bx > 0.0) & (bx < _HELD_AHEAD) & (jnp.abs(by) < 0.12) & known
+    held = jnp.where(at_chest & slow, held + dt, 0.0)
     role = _role(d_ball, misaligned, east, north, known, heard, role, shirt, keeps, genes)
     # Places: goalkeeper before its line on the ball's side; supporter behind the ball, to the side
     # that has more room.
@@ -131,6 +158,7 @@ def facts(
     place_y = jnp.where(known, north - jnp.where(home >= 0, 1, -1) * genes.support_aside, home)
     place_x, place_y = _inside(place_x, place_y, genes.wall + 0.05, ground)
     keeper = role == GOALKEEPER
+    place_x = _out_of_area(place_x, place_y, keeps, ground)
     place_x = jnp.where(keeper, -ground.half_length + genes.keeper_line, place_x)
     place_y = jnp.where(keeper, keeper_y, place_y)
     target_x, target_y = _local(place_x, place_y, pose)
@@ -140,8 +168,9 @@ def facts(
     incoming = -vx
     arrival = jnp.clip(bx / jnp.maximum(incoming, 0.02), 0.0, 9.0)
     crossing = -(by + vy * jnp.minimum(arrival, 3.0))
-    d_obstacle, obstacle = _nearest(memory, pose, genes, ground, proximity, d_ball, ball)
-    side = jnp.where(by >= 0, 1.0, -1.0)
+    to_ball = (role == ATTACKER) | (keeper & (d_ball < genes.keeper_out))
+    wx, wy = jnp.where(to_ball, approach_x, target_x), jnp.where(to_ball, approach_y, target_y)
+    d_obstacle, obstacle = _nearest(memory, pose, genes, ground, proximity, d_ball, ball, (wx, wy))
     return Facts(
         known=known,
         d_ball=d_ball,
@@ -149,8 +178,12 @@ def facts(
         aim=aim,
         misaligned=misaligned,
         kick=kick,
-        kickable=kickable & known,
-        to_goal=to_goal,
+        shot=shot & known,
+        gain=jnp.where(known, gain, -9.0),
+        at_wall=at_wall,
+        barred=barred,
+        waits=waits,
+        held=held,
         to_own=to_own,
         target=angle(target_x, target_y),
         d_target=length(target_x, target_y),
@@ -161,7 +194,6 @@ def facts(
         incoming=incoming,
         d_obstacle=d_obstacle,
         obstacle=obstacle,
-        search=side * genes.search_turn,
         role=role,
     )
 
@@ -183,16 +215,93 @@ def _inside(x, y, margin, ground):
     return jnp.clip(x, -half_x, half_x), jnp.clip(y, -half_y, half_y)
 
 
-def _best_kick(bx, by, aim, genes, kicks):
-    """The kick with the least error of direction among those whose zone holds the ball."""
+def _out_of_area(x, y, keeps, ground):
+    """x of a place, moved out of the own penalty area unless the robot keeps the goal."""
+    edge = jnp.where(jnp.abs(y) < _AREA_SIDE + 0.1, _AREA_DEPTH + 0.1 - ground.half_length, -9.0)
+    return jnp.where(keeps, x, jnp.maximum(x, edge))
+
+
+def _lanes(memory, pose, bx, by, genes):
+    """Where opponents stand, seen from the ball, in the team's frame: x, y (m), and whether they
+    count."""
+    found = []
+    for n in OPPONENTS:
+        x, y = memory.distance[n] * memory.cos[n] - bx, memory.distance[n] * memory.sin[n] - by
+        counts = memory.age[n] < genes.obstacle_trust
+        found.append((pose.cos * x - pose.sin * y, pose.sin * x + pose.cos * y, counts))
+    return found
+
+
+def _room(ux, uy, reach, lanes):
+    """The least distance of an opponent from a ball's way of length `reach` along (ux, uy), m."""
+    room = jnp.full_like(ux, 9.0)
+    for x, y, counts in lanes:
+        along, aside = x * ux + y * uy, jnp.abs(x * uy - y * ux)
+        room = jnp.where(counts & (along > 0.05) & (along < reach), jnp.minimum(room, aside), room)
+    return room
+
+
+def _opening(east, north, lanes, genes, ground):
+    """Direction (x, y) from the ball to where the opponents' goal is most open."""
+    best, gx, gy = jnp.full_like(east, -9.0), jnp.ones_like(east), jnp.zeros_like(east)
+    for share in (0.0, 1.0, -1.0):
+        # Two thirds of the way from the middle to a post; the middle where all is open.
+        dx, dy = ground.half_length + 0.1 - east, share * 0.6 * ground.half_goal - north
+        far = length(dx, dy)
+        ux, uy = dx / far, dy / far
+        room = jnp.minimum(_room(ux, uy, far, lanes), genes.lane) + (0.03 if share == 0 else 0.0)
+        gx, gy = jnp.where(room > best, ux, gx), jnp.where(room > best, uy, gy)
+        best = jnp.maximum(room, best)
+    return gx, gy
+
+
+def _off_wall(gx, gy, east, north, genes, ground):
+    """Direction (x, y) in which a ball is to be pushed, (gx, gy) or, at a wall, along and into it,
+    so that there is room behind the ball: the kick bounces off.  And whether it is at a wall."""
+    side = jnp.abs(north) > ground.half_width - genes.at_wall
+    end = (jnp.abs(east) > ground.half_length - genes.at_wall) & (jnp.abs(north) > ground.half_goal)
+    up, ahead = jnp.where(north > 0, 1.0, -1.0), jnp.where(east > 0, 1.0, -1.0)
+    along, into = unit(genes.wall_angle)
+    # Along a side wall ahead; along an end wall towards the opponents' mouth, away from the own.
+    x = jnp.where(side, along, ahead * into)
+    y = jnp.where(side, up * into, -ahead * up * along)
+    corner = side & end
+    x, y = jnp.where(corner, ahead * _DIAGONAL, x), jnp.where(corner, up * _DIAGONAL, y)
+    at_wall = side | end
+    return jnp.where(at_wall, x, gx), jnp.where(at_wall, y, gy), at_wall
+
+
+def _best_kick(bx, by, east, north, pose, lanes, genes, kicks, ground):
+    """The kick, of those whose zone holds the ball, that brings it nearest to the goal; whether it
+    would go in; and how much nearer it would come, m (-9: no zone holds the ball)."""
     best = jnp.zeros(jnp.shape(bx), jnp.int32)
-    least = jnp.full(jnp.shape(bx), 9.0)
+    most = jnp.full(jnp.shape(bx), -9.0)
+    goes_in = jnp.zeros(jnp.shape(bx), bool)
+    goal_x = ground.half_length + 0.1
+    now = length(goal_x - east, north)
     for n in range(len(kicks.direction)):
         there = (bx >= kicks.low_x[n]) & (bx <= kicks.high_x[n])
         there &= (by >= kicks.low_y[n]) & (by <= kicks.high_y[n])
-        error = jnp.where(there, jnp.abs(wrap(aim - kicks.direction[n])), 9.0)
-        best, least = jnp.where(error < least, n, best), jnp.minimum(error, least)
-    return best, least < genes.kick_angle
+        c, s = unit(kicks.direction[n])
+        ux, uy = pose.cos * c - pose.sin * s, pose.sin * c + pose.cos * s
+        reach = kicks.reach[n]
+        to_line = (ground.half_length - east) / jnp.maximum(ux, 0.05)
+        at_line = jnp.abs(north + uy * to_line)
+        shot = (at_line < ground.half_goal - genes.post) & (ux > 0.05) & (to_line < 0.8 * reach)
+        shot &= _room(ux, uy, to_line, lanes) > 0.5 * genes.lane
+        # Where it ends: walls throw it back half as far.
+        x, y = east + reach * ux, north + reach * uy
+        x = x - 1.5 * (x - jnp.clip(x, -ground.half_length, ground.half_length))
+        y = y - 1.5 * (y - jnp.clip(y, -ground.half_width, ground.half_width))
+        gain = now - length(goal_x - x, y)
+        # Never at the own goal.
+        to_own = (ground.half_length + east) / jnp.maximum(-ux, 0.05)
+        danger = (ux < 0) & (jnp.abs(north + uy * to_own) < ground.half_goal + 0.2)
+        gain = jnp.where(danger & (to_own < reach), -5.0, gain) + jnp.where(shot, 3.0, 0.0)
+        better = there & (gain > most)
+        best, goes_in = jnp.where(better, n, best), jnp.where(better, shot, goes_in)
+        most = jnp.where(better, gain, most)
+    return best, goes_in, most
 
 
 def _role(d_ball, misaligned, east, north, known, heard, last, shirt, keeper, genes):
@@ -218,31 +327,36 @@ def _role(d_ball, misaligned, east, north, known, heard, last, shirt, keeper, ge
     return jnp.where(keeper, GOALKEEPER, role)
 
 
-def _nearest(memory, pose, genes, ground, proximity, d_ball, ball):
+def _nearest(memory, pose, genes, ground, proximity, d_ball, ball, way):
     """Distance (m, to the surface) and direction of the nearest of walls, robots on the map and
-    what the infrared sensor meets, the ball apart."""
-    to_x = ground.half_length - jnp.abs(pose.x)
-    to_y = ground.half_width - jnp.abs(pose.y)
-    zero = jnp.zeros_like(to_x)
-    east = jnp.where(to_x < to_y, jnp.sign(pose.x), zero)
-    north = jnp.where(to_x < to_y, zero, jnp.sign(pose.y))
-    distance = jnp.minimum(to_x, to_y)
-    c, s = pose.cos * east + pose.sin * north, pose.cos * north - pose.sin * east
+    what the infrared sensor meets, the ball apart, that is in the way to a place (x, y; m)."""
+    far = length(*way)
+    ux, uy = way[0] / far, way[1] / far
+    distance, found = jnp.full_like(far, _NO_OBSTACLE), jnp.zeros_like(far)
+
+    def add(gap, c, s, there, radius):
+        nonlocal distance, found
+        middle = gap + radius
+        along, aside = middle * (c * ux + s * uy), middle * jnp.abs(c * uy - s * ux)
+        there &= (along > 0) & (along < far - 0.05) & (aside < genes.obstacle_side)
+        nearer = there & (gap < distance) & (gap < genes.obstacle_cap)
+        distance = jnp.where(nearer, gap, distance)
+        found = jnp.where(nearer, angle(c, s), found)
+
+    for is_x in (True, False):
+        position, half = (pose.x, ground.half_length) if is_x else (pose.y, ground.half_width)
+        sign = jnp.where(position > 0, 1.0, -1.0)
+        c, s = (pose.cos, -pose.sin) if is_x else (pose.sin, pose.cos)
+        add(half - jnp.abs(position), sign * c, sign * s, position == position, 0.0)
     for n in MATES + OPPONENTS:
         gap = memory.distance[n] - _ROBOT
-        nearer = (memory.age[n] < genes.obstacle_trust) & (gap < distance)
-        distance = jnp.where(nearer, gap, distance)
-        c, s = jnp.where(nearer, memory.cos[n], c), jnp.where(nearer, memory.sin[n], s)
-    found = angle(c, s)
+        add(gap, memory.cos[n], memory.sin[n], memory.age[n] < genes.obstacle_trust, _ROBOT)
     # The beam ends at the ball, too: that is no obstacle.
     reading, direction = proximity
     gap = reading + 0.1
     is_ball = (jnp.abs(wrap(direction - ball)) < 0.3) & (jnp.abs(gap - d_ball) < 0.15)
-    nearer = (reading < 0.6) & ~is_ball & (gap < distance)
-    distance = jnp.where(nearer, gap, distance)
-    found = jnp.where(nearer, direction, found)
-    # Far obstacles are no obstacles: BIOA was trained with one that is near.
-    return jnp.where(distance < genes.obstacle_cap, distance, 3.0), found
+    add(gap, *unit(direction), (reading < 0.6) & ~is_ball, 0.0)
+    return distance, found
 
 
 class Rule(NamedTuple):
@@ -269,10 +383,30 @@ def _is(role):
 
 RULES = (
     Rule(
-        "the ball lies where a kick would send it to the goal, within {kick_range} m of it, or "
-        "within {kick_pass} m of the own goal",
-        lambda f, g: f.kickable & ((f.to_goal < g.kick_range) | (f.to_own < g.kick_pass)),
+        "a kick would roll into the goal, {post} m from the posts and past all opponents: kick",
+        lambda f, g: f.shot,
         6,
+    ),
+    Rule(
+        "a kick would bring the ball {kick_gain} m nearer to the goal: kick",
+        lambda f, g: f.gain > g.kick_gain,
+        6,
+    ),
+    Rule(
+        "the ball lies at a wall, and a kick would not lose {wall_loss} m: kick",
+        lambda f, g: f.at_wall & (f.gain > -g.wall_loss),
+        6,
+    ),
+    Rule(
+        "the others kick off, and the ball is within {kickoff} m: stand and watch",
+        lambda f, g: f.waits & (f.role != GOALKEEPER) & (f.d_ball < g.kickoff),
+        1,
+    ),
+    Rule(
+        "the ball has lain at the chest for {hold} s: step back",
+        lambda f, g: f.held > g.hold,
+        4,
+        lambda f, g: {"distance": jnp.full_like(f.d_ball, -0.1)},
     ),
     Rule(
         "goalkeeper: the ball comes faster than {save_speed} m/s: save",
@@ -315,22 +449,23 @@ RULES = (
         },
     ),
     Rule(
-        "the ball is lost: turn and look for it",
+        "the ball is lost: turn to the left and look for it",
         lambda f, g: ~f.known,
         3,
         lambda f, g: {
-            "d_ball": jnp.full_like(f.d_ball, 0.165),
-            "ball": f.search,
+            "d_ball": jnp.full_like(f.d_ball, BALL_AHEAD),
+            "ball": jnp.full_like(f.ball, g.search_turn),
             "goal": jnp.zeros_like(f.aim),
         },
     ),
     Rule(
-        "attacker: the ball is within {near} m and ahead, misaligned by less than {aligned} rad: "
-        "dribble",
+        "attacker: the ball is within {near} m and ahead, misaligned by less than {aligned} rad "
+        "(twice that at a wall): dribble",
         lambda f, g: (
             (f.role == ATTACKER)
+            & ~f.barred
             & (f.d_ball < g.near)
-            & (jnp.abs(f.misaligned) < g.aligned)
+            & (jnp.abs(f.misaligned) < jnp.where(f.at_wall, 2 * g.aligned, g.aligned))
             & (jnp.abs(f.ball) < 2 * g.aligned)
         ),
         5,
@@ -338,7 +473,7 @@ RULES = (
     ),
     Rule(
         "attacker: the ball is within {near} m: align with the ball and the goal",
-        lambda f, g: (f.role == ATTACKER) & (f.d_ball < g.near),
+        lambda f, g: (f.role == ATTACKER) & ~f.barred & (f.d_ball < g.near),
         3,
     ),
     Rule(

@@ -15,6 +15,7 @@ from fntg_jax.robot.messages import Scalar, Seen
 _PIXEL = Camera().horizontal / Camera().width  # rad
 _SIZE_NOISE = 1.0  # pixels, of an object's edges together (facts: beyond 2 m a pixel is 0.3-0.6 m)
 _LEVEL_NOISE = 0.02  # rad, of elevation: the trunk sways (assumed)
+_AGREE = 2.0  # ratio of the distances by size and by elevation beyond which a sighting is false
 _BIAS = 0.05  # of the distance, what is left at any range
 
 
@@ -86,7 +87,9 @@ def locate(frame: Frame, head: Float[Array, "3"], sizes: Sizes, neck: Head = Hea
     x, y = cx + distance * dx / flat, cy + distance * dy / flat
     far = length(x, y)
     spread = 1 / jnp.sqrt(total) / jnp.maximum(far, 0.05)
-    return Seen(far, x / far, y / far, frame.visible, spread)
+    # What is not about as large as its place on the floor says is not what it seems to be.
+    agrees = (by_size < _AGREE * by_floor) & (by_floor < _AGREE * by_size)
+    return Seen(far, x / far, y / far, frame.visible & (agrees | (steep < 0.04)), spread)
 
 
 def sizes_of(ball_radius: float, landmark_foot: float, band: float, goal_height: float) -> Sizes:

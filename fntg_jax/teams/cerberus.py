@@ -40,12 +40,14 @@ def of(
     rows = [styles.name.index(name) if name in styles.name else 0 for name in behaviors.STYLES]
     column = lambda values: jnp.asarray([values[row] for row in rows], jnp.float32)  # noqa: E731
     zone = jnp.asarray(kicks.zone, jnp.float32).reshape(-1, 4).T
+    speed = jnp.asarray(kicks.speed, jnp.float32)
+    reach = speed * speed / (2 * match.rolling.deceleration)
     posture = lambda name: jnp.int32(postures.index(name) + 1 if name in postures else 0)  # noqa: E731
     return robot.Team(
         genes=Genes(*(jnp.float32(value) for value in genes)),
         bioa=bioa,
         speeds=behaviors.Speeds(*map(column, (styles.forward, styles.lateral, styles.turn))),
-        kicks=planner.Kicks(jnp.asarray(kicks.direction, jnp.float32), *zone),
+        kicks=planner.Kicks(jnp.asarray(kicks.direction, jnp.float32), speed, reach, *zone),
         get_up=posture("get-up"),
         spread=posture("spread"),
         map=jnp.asarray([(mark.x, mark.y) for mark in field.landmarks], jnp.float32),
