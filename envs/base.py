@@ -26,10 +26,12 @@ class Limits(NamedTuple):
 
 
 class Command(NamedTuple):
-    """Velocity command: v in m/s along the robot's x axis, omega in rad/s."""
+    """Velocity command: v in m/s along the robot's x axis, omega in rad/s, v_y in m/s to its left
+    (None: no sideways motion; BIOA has none)."""
 
     v: Scalar
     omega: Scalar
+    v_y: Scalar | None = None
 
 
 class Observation(NamedTuple):

@@ -163,7 +163,10 @@ class Kinematic:
                 )
                 v = v * (1 + self.actuation.slip * noise[0])
                 omega = omega * (1 + self.actuation.slip * noise[1])
-        x, y, cos, sin = _arc(state.x, state.y, state.cos, state.sin, v * self.dt, omega * self.dt)
+        turn, v_y = omega * self.dt, getattr(command, "v_y", None)
+        x, y, cos, sin = _arc(state.x, state.y, state.cos, state.sin, v * self.dt, turn)
+        if v_y is not None:  # the same arc, its chord turned to the left
+            x, y, _, _ = _arc(x, y, -state.sin, state.cos, v_y * self.dt, turn)
         new = state._replace(
             x=x,
             y=y,

@@ -265,3 +265,18 @@ def test_mirrored_scenes_give_mirrored_paths():
 def test_bad_options_are_refused_by_name(options, message):
     with pytest.raises(ValueError, match=message):
         kinematic.make(**options)
+
+
+def test_a_sideways_command_moves_along_the_turned_arc():
+    env, v, v_y, omega = kinematic.make(), 0.12, -0.05, 0.7
+    state = env.step(env.reset(scene(start=(0.2, -0.1, 0.5))), Command(v, omega, v_y))
+    # Fine Euler steps of the definition.
+    x, y, heading, n = 0.2, -0.1, 0.5, 20000
+    for _ in range(n):
+        x += (v * np.cos(heading) - v_y * np.sin(heading)) * env.dt / n
+        y += (v * np.sin(heading) + v_y * np.cos(heading)) * env.dt / n
+        heading += omega * env.dt / n
+    np.testing.assert_allclose([state.x, state.y], [x, y], atol=1e-6)
+    np.testing.assert_allclose(
+        [state.cos, state.sin], [np.cos(heading), np.sin(heading)], atol=1e-6
+    )

@@ -158,10 +158,10 @@ class Controller:
         inputs = (d_ball, d_obstacle, theta_ball, theta_obstacle)
         if isinstance(self.theta, jax.core.Tracer) or any(isinstance(x, jax.Array) for x in inputs):
             arrays = jnp.broadcast_arrays(*(jnp.asarray(x, jnp.float32) for x in inputs))
-            return tuple(_command(self.params32, Observation(*arrays), self.limits, self.output))
+            return _command(self.params32, Observation(*arrays), self.limits, self.output)[:2]
         numbers = np.broadcast_arrays(*inputs)
         observation = Observation(*(np.asarray(x, np.float32) for x in numbers))
-        v, omega = _command(self.params32, observation, self.limits, self.output)
+        v, omega, _ = _command(self.params32, observation, self.limits, self.output)
         if numbers[0].ndim == 0:
             return float(v), float(omega)
         return np.asarray(v), np.asarray(omega)
