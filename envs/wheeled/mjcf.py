@@ -12,7 +12,7 @@ GAIN, TORQUE = 0.05, 0.10  # of a wheel's speed servo: N m s/rad, and N m at mos
 DAMPING = 0.0005  # N m s/rad, of a wheel's bearing
 NO_LOAD = 20.0  # rad/s, most that a wheel's motor turns
 CAPTURE_X = 0.145  # m, where the ball's centre lies before the front
-KICK_FORCE, KICK_TRAVEL, KICKER_MASS = 12.0, 0.030, 0.10  # N, m, kg, of the solenoid
+KICK_FORCE, KICK_TRAVEL, KICKER_MASS = 30.0, 0.030, 0.10  # N, m, kg, of the solenoid
 BALL_MASS = 0.060  # kg, as the dog's ball
 CAMERA_HEIGHT = 0.15  # m
 
@@ -87,7 +87,8 @@ def mjcf(timestep: float = 0.004, num_obstacles: int = 0, ball: bool = True) -> 
       <body name="kicker" pos="{LENGTH / 2 - 0.005} 0 {0.042 - floor}">
         <joint name="kicker" type="slide" axis="1 0 0" range="0 {KICK_TRAVEL}" stiffness="120"
                damping="0.3" springref="-0.005"/>
-        <geom name="kicker" type="box" size="0.005 0.05 0.012" mass="{KICKER_MASS}" rgba="0.9 0.9 0.9 1"/>
+        <geom name="kicker" type="box" size="0.005 0.05 0.012" mass="{KICKER_MASS}"
+              rgba="0.9 0.9 0.9 1"/>
       </body>{wheels}
     </body>{balls}{obstacles}
   </worldbody>
