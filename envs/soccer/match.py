@@ -76,8 +76,9 @@ class Match:
 
     players: robots a side, 1 to 5.  home, away: bodies, shipped ("ers210", "wheels") or a file.
     camera: "objects" (noise, misses, occlusion) or "perfect" (truth).  sound: "symbols" or "none".
-    minutes: of a half; 0 for the rules' 10.  Raises ValueError naming field, value, what is
-    allowed.
+    minutes: of a half; 0 for the rules' 10.  noise: factor on the camera's errors and misses.
+    hearing: m, where half of the messages are lost; 0 as measured.  Raises ValueError naming field,
+    value, what is allowed.
     """
 
     players: int = 3
@@ -86,6 +87,8 @@ class Match:
     camera: str = "objects"
     sound: str = "symbols"
     minutes: float = 0.0
+    noise: float = 1.0
+    hearing: float = 0.0
     dt: float = 0.1
     field: Field = FIELD
     lens: Camera = Camera()
@@ -100,6 +103,10 @@ class Match:
             raise ValueError(f"sound = {self.sound!r}: allowed are {', '.join(SOUNDS)}")
         if not (self.minutes == 0 or 0.01 <= self.minutes <= 1000):
             raise ValueError(f"minutes = {self.minutes}: allowed are 0.01 to 1000 a half")
+        if not 0 <= self.noise <= 10:
+            raise ValueError(f"noise = {self.noise}: allowed are 0 to 10")
+        if not 0 <= self.hearing <= 100:
+            raise ValueError(f"hearing = {self.hearing}: allowed are 0 to 100 m")
         if not 0.01 <= self.dt <= 0.2:
             raise ValueError(f"dt = {self.dt}: allowed are 0.01 to 0.2 s")
         _ = self.bodies, self.rules  # read and checked now
@@ -123,11 +130,15 @@ class Match:
 
     @cached_property
     def sights(self) -> tables.Sights:
-        return tables.load_sights()
+        sights = tables.load_sights()
+        if self.noise == 1:
+            return sights
+        return tables.Sights(*(tables.Sight(*(self.noise * x for x in one)) for one in sights))
 
     @cached_property
     def air(self) -> tables.Air:
-        return tables.load("sound", tables.Air)
+        air = tables.load("sound", tables.Air)
+        return air._replace(half=self.hearing) if self.hearing else air
 
     @property
     def calls(self) -> tuple[str, ...]:

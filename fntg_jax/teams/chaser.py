@@ -130,7 +130,7 @@ def _control(team: Chaser, memory: Memory, truth: Truth):
         theta_ball=angle(ahead, left),
         theta_obstacle=theta_o,
     )
-    v, omega = team.bioa(observation)
+    v, omega = team.bioa(observation)[:2]
 
     # Kick what lies before the chest when the heading hits the mouth.
     bx, by = ball_x - x, ball_y - y
