@@ -20,6 +20,7 @@ from envs.field import (
     roll_ball,
 )
 from envs.quadruped import constants as c
+from envs.quadruped import nature as fates
 from envs.quadruped import physics
 from envs.quadruped.locomotion import SPEED, Gait, follow, limit, load_gait, set_points
 from envs.quadruped.rigid_body import Variation
@@ -32,7 +33,7 @@ class State(NamedTuple):
     qpos: x, y, z (m), quaternion w, x, y, z, twelve joints (rad).  qvel: linear (m/s, world
     frame), angular (rad/s, body frame), joints.  phase: of the gait, turns.  stride: v_x, v_y,
     omega the gait is walking at.  set_points: the servos' last ones, rad.  fallen: it fell, for
-    good.
+    good.  fate: what the trial drew of the world's `Nature`; None without.
     """
 
     qpos: Float[Array, "19"]
@@ -43,6 +44,7 @@ class State(NamedTuple):
     fallen: Bool[Array, ""]
     ball: Ball
     discs: tuple[Disc, ...]
+    fate: fates.Fate | None = None
 
 
 def _default_gait() -> Gait:
@@ -61,7 +63,8 @@ class Quadruped:
     a trot swings it: what a camera on the body would see, so nothing is filtered.
 
     servo_speed: how fast set-points may move, in units of Sony's speeds (`constants.LEG_SPEED`).
-    variation: how this dog and its carpet differ from the model.
+    variation: how this dog and its carpet differ from the model.  nature: how every trial's differ
+    instead, with noise, latency and pushes; None: not at all.
     solver: timestep, substeps and back end (static).  fall_tilt: cosine of the trunk's tilt, and
     fall_height: shoulders above the floor (m), below which the dog has fallen; it then stays as
     it is.  ball_deceleration: m/s^2 of a rolling ball.  rest: the pose at the start, found by
@@ -75,6 +78,7 @@ class Quadruped:
     fall_height: Scalar = 0.045
     ball_deceleration: Scalar = BALL_DECELERATION
     variation: Variation = Variation()
+    nature: fates.Nature | None = None
     solver: physics.Solver = dataclasses.field(default=physics.Solver(), metadata={"static": True})
     field: Field = dataclasses.field(default=FIELD, metadata={"static": True})
     rest: Float[Array, "19"] | None = None
@@ -99,7 +103,7 @@ class Quadruped:
         turned = [cos * w - sin * k, cos * i - sin * j, cos * j + sin * i, cos * k + sin * w]
         qpos = jnp.concatenate([jnp.stack([x, y, rest[2], *turned]), rest[7:]])
         vb, vo = scene.ball_velocity, scene.obstacle_velocity
-        return State(
+        state = State(
             qpos=qpos,
             qvel=jnp.zeros(physics.NUM_V, qpos.dtype),
             phase=jnp.zeros_like(x),
@@ -112,25 +116,30 @@ class Quadruped:
                 for n, o in enumerate(scene.obstacles)
             ),
         )
+        if self.nature is None:
+            return state
+        fate = fates.draw(self.nature, scene.seed, self.measure(state))
+        return state._replace(qpos=fates.first_pose(self.nature, fate, qpos), fate=fate)
 
     def step(self, state: State, command: Any) -> State:
         """Advance one control step: gait, physics, then ball and obstacles.
 
         command: v (m/s) and omega (rad/s), and v_y (m/s, to the left) where it has one.
         """
-        v_y = getattr(command, "v_y", 0.0)
-        wanted = jnp.stack(
-            [jnp.asarray(u, state.qpos.dtype) for u in (command.v, v_y, command.omega)]
-        )
+        wanted = jnp.stack([jnp.asarray(u, state.qpos.dtype) for u in three(command)])
         stride, targets = self.targets(state, wanted)
         physics_step = physics.step_fn(self.solver)
+        variation, qvel = self.variation, state.qvel
+        if self.nature is not None and state.fate is not None:
+            variation = state.fate.variation
+            qvel = fates.push(self.nature, state.fate, qvel)
 
         def substep(carry, ctrl):
-            return physics_step(*carry, ctrl, self.variation), None
+            return physics_step(*carry, ctrl, variation), None
 
         # Reverse mode keeps one state a physics step and computes the rest again.
         substep = jax.checkpoint(substep, prevent_cse=False)
-        (qpos, qvel), _ = jax.lax.scan(substep, (state.qpos, state.qvel), targets)
+        (qpos, qvel), _ = jax.lax.scan(substep, (state.qpos, qvel), targets)
         turns = state.phase + self.dt / self.gait.period
         return self.accept(state, qpos, qvel, turns - jnp.floor(turns), stride, targets[-1])
 
@@ -149,7 +158,7 @@ class Quadruped:
         well = (upright > self.fall_tilt) & (qpos[2] > self.fall_height)
         well &= jnp.all(jnp.abs(qvel) < 1e3)
         fallen = state.fallen | ~well
-        return State(
+        new = State(
             qpos=jnp.where(fallen, state.qpos, qpos),
             qvel=jnp.where(fallen, jnp.zeros_like(qvel), qvel),
             phase=phase,
@@ -159,6 +168,9 @@ class Quadruped:
             ball=roll_ball(state.ball, self.dt, self.ball_deceleration, self.field),
             discs=tuple(move_disc(d, self.dt, self.field) for d in state.discs),
         )
+        if state.fate is None:
+            return new
+        return new._replace(fate=fates.remember(state.fate, self.measure(new)))
 
     def measure(self, state: State) -> Observation:
         """True distances and angles at this instant."""
@@ -175,8 +187,11 @@ class Quadruped:
         )
 
     def observe(self, state: State) -> Observation:
-        """What the controller sees: `measure`."""
-        return self.measure(state)
+        """What the controller sees: `measure`, late and with noise where the world's nature has
+        them."""
+        if self.nature is None or state.fate is None:
+            return self.measure(state)
+        return fates.sense(self.nature, state.fate, self.dt)
 
     def failed(self, state: State) -> Bool[Array, ""]:
         """True once the dog has fallen."""
@@ -192,6 +207,12 @@ class Quadruped:
             if state.discs
             else jnp.zeros((0, 3), state.qpos.dtype),
         )
+
+
+def three(command: Any) -> tuple[Any, Any, Any]:
+    """v, v_y, omega of a command, which need not have a v_y."""
+    v_y = getattr(command, "v_y", None)
+    return command.v, jnp.zeros_like(command.v) if v_y is None else v_y, command.omega
 
 
 def heading(qpos: Float[Array, "19"]) -> tuple[Scalar, Scalar]:

@@ -18,7 +18,7 @@ from envs.base import Observation, Scene
 from envs.field import FIELD, Ball
 from envs.quadruped import constants as c
 from envs.quadruped import mjcf, physics
-from envs.quadruped.environment import Quadruped, State
+from envs.quadruped.environment import Quadruped, State, three
 
 PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _INPUT = (
@@ -99,8 +99,7 @@ def run(
     def before(state, n):
         seen = measure(state)
         command = control(seen, n)
-        v_y = getattr(command, "v_y", jnp.zeros_like(command.v))
-        wanted = jnp.stack([command.v, v_y, command.omega], axis=1)
+        wanted = jnp.stack(three(command), axis=1)
         stride, targets = jax.vmap(env.targets)(state, wanted)
         return seen, command, stride, targets
 
