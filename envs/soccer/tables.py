@@ -170,7 +170,9 @@ def load_body(name: str) -> Body:
         ]
         parts[field] = cls(*map(tuple, columns))
     flat = {key: _entry(path, "", document, key) for key in Body._fields if key not in parts}
-    return Body(**flat, **parts)
+    body = Body(**flat, **parts)
+    _check(path, body)
+    return body
 
 
 @cache
@@ -197,39 +199,82 @@ def load_sights() -> Sights:
 def _read(path: Path, kind: str | None) -> dict[str, Any]:
     try:
         document = json.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ValueError(f"{path}: not a readable JSON file ({error})") from None
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror or error}") from None
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: not a JSON file ({str(error)[:80]})") from None
     if not isinstance(document, dict) or (kind and document.get("format") != kind):
         raise ValueError(f"{path}: format: allowed is {kind!r}")
     if document.get("version") != 1:
         raise ValueError(f"{path}: version = {document.get('version')!r}: allowed is 1")
+    _entry(path, "", document, "source")
     return document
 
 
 _TEXT = {"name", "source"}
+_POINTS = {"restart_spots", "kickoff_own", "kickoff_theirs"}
+_SIGNED = {"zone", "direction", *_POINTS}  # may be negative
+_POSITIVE = {"length", "width", "height", "chest", "forward", "backward", "turn", "duration"}
+_SHARES = {"miss", "miss_small", "false", "gets_up", "restitution", "wall_restitution"}
 
 
 def _entry(path: Path, where: str, row: Any, key: str) -> Any:
-    """One checked entry: a finite number, a name, or a (nested) list of numbers."""
+    """One checked entry: a number in its range, a name, or a list of numbers."""
     field = f"{where}.{key}" if where else key
     if not isinstance(row, dict) or key not in row:
         raise ValueError(f"{path}: {field} is missing")
     value = row[key]
 
-    def check(value: Any) -> Any:
-        if isinstance(value, list):
-            return tuple(check(v) for v in value)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e6:
-            raise ValueError(f"{path}: {field} = {value!r}: allowed are numbers below 1e6")
-        return float(value)
+    def refuse(allowed: str) -> ValueError:
+        return ValueError(f"{path}: {field} = {str(value)[:60]!s}: allowed {allowed}")
 
-    if key in _TEXT or key == "placeholder":
-        if not isinstance(value, bool if key == "placeholder" else str):
-            raise ValueError(
-                f"{path}: {field} = {value!r}: allowed is a text (of placeholder: true or false)"
-            )
+    if key in _TEXT:
+        if not isinstance(value, str) or not value.strip():
+            raise refuse("is a text")
         return value
-    value = check(value)
-    if key == "zone" and not (isinstance(value, tuple) and len(value) == 4):
-        raise ValueError(f"{path}: {field} = {value!r}: allowed are four numbers")
-    return value
+    if key == "placeholder":
+        if not isinstance(value, bool):
+            raise refuse("is true or false")
+        return value
+    if key == "zone":
+        zone = _numbers(value)
+        if zone is None or len(zone) != 4 or not (zone[0] < zone[1] and zone[2] < zone[3]):
+            raise refuse("are x low, x high, y low, y high")
+        return zone
+    if key in _POINTS:
+        points = [_numbers(row) for row in value] if isinstance(value, list) else [None]
+        if not all(point is not None and len(point) == 2 for point in points):
+            raise refuse("is a list of points [x, y]")
+        return tuple(points)
+    number = _numbers([value])
+    if number is None:
+        raise refuse("are numbers below 1e6")
+    if key in _POSITIVE and not number[0] > 0:
+        raise refuse("are numbers above 0")
+    if key in _SHARES and not 0 <= number[0] <= 1:
+        raise refuse("are shares, 0 to 1")
+    if key not in _SIGNED and number[0] < 0:
+        raise refuse("are numbers from 0 up")
+    return number[0]
+
+
+def _numbers(values: Any) -> tuple[float, ...] | None:
+    """A list of finite numbers as a tuple, None where it is none."""
+    if not isinstance(values, list):
+        return None
+    for value in values:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e6:
+            return None
+    return tuple(map(float, values))
+
+
+def _check(path: Path, body: Body) -> None:
+    """What fits together in a body.  Raises ValueError."""
+    if body.length > 1 or body.width > body.length:
+        raise ValueError(
+            f"{path}: length = {body.length}, width = {body.width}: allowed are a length up to 1 m"
+            " and no more width"
+        )
+    for n, (delay, duration) in enumerate(zip(body.kicks.delay, body.kicks.duration)):
+        if delay > duration:
+            raise ValueError(f"{path}: kicks[{n}].delay = {delay}: allowed is up to its duration")

@@ -38,10 +38,11 @@ class MatchOptions:
     body: str = "tables"
     """what moves the bodies: tables, or quadruped: six walking dogs in one MuJoCo model."""
     film: Path | None = None
-    """with --body quadruped: also write a film of the first match, .webp, .gif, or .mp4 (which
-    needs ffmpeg)."""
+    """also write a film of the first match, .webp, .gif, or .mp4 (which needs ffmpeg)."""
+    film_from: float = 0.0
+    """s from the kick-off to where it begins; 0 with --body quadruped."""
     film_seconds: float = 30.0
-    """of play that it shows, from the kick-off."""
+    """of play that it shows."""
     json: bool = False
     """print JSON instead of a table."""
     out: Path | None = None
@@ -76,12 +77,12 @@ def main(argv: list[str]) -> None:
         minutes=options.minutes,
     )
     sides = matches.get_team(options.home, match, 0), matches.get_team(options.away, match, 1)
-    if options.film is not None or options.body != "tables":
+    if options.html is not None and (options.html.is_dir() or not options.html.parent.is_dir()):
+        raise ValueError(f"html = {options.html}: allowed is a file in a folder that exists")
+    if options.film is not None:
         _check_film(options)
-    if options.html is not None:
-        if options.html.is_dir() or not options.html.parent.is_dir():
-            raise ValueError(f"html = {options.html}: allowed is a file in a folder that exists")
-        say(f"page {_page(options.html, match, sides, options.seed)}")
+    if options.html is not None or (options.film is not None and options.body == "tables"):
+        _watch(options, match, sides)
     say(f"{options.matches} matches of {match.steps} control steps")
     if options.body == "tables":
         results = matches.play_matches(match, *sides, options.matches, options.seed)
@@ -123,10 +124,6 @@ _FILMS = (".webp", ".gif", ".mp4")
 def _check_film(options: MatchOptions) -> None:
     import shutil
 
-    if options.body == "tables":
-        raise ValueError("film: only walking robots are filmed (--body quadruped); see --html")
-    if options.film is None:
-        return
     suffix = options.film.suffix.lower()
     if suffix not in _FILMS or not options.film.parent.is_dir():
         raise ValueError(
@@ -137,6 +134,9 @@ def _check_film(options: MatchOptions) -> None:
         raise ValueError(f"film = {options.film}: no ffmpeg found; .webp and .gif need none")
     if not 1 <= options.film_seconds <= 600:
         raise ValueError(f"film_seconds = {options.film_seconds}: allowed are 1 to 600")
+    latest = 120 * options.minutes if options.body == "tables" else 0.0
+    if not 0 <= options.film_from <= latest:
+        raise ValueError(f"film_from = {options.film_from}: allowed are 0 to {latest:g}")
 
 
 def _physical(options: MatchOptions, match, sides):
@@ -167,22 +167,27 @@ def _physical(options: MatchOptions, match, sides):
     return played.results
 
 
-def _page(path: Path, match, sides, seed: int) -> Path:
-    """The first match of those that are played, as a page."""
+def _watch(options: MatchOptions, match, sides) -> None:
+    """The first match of those that are played, by tables: as a page, as a film."""
     import jax
 
     from fntg_jax.files import write_atomically, writing
     from fntg_jax.learning import play
     from fntg_jax.running import matches
-    from fntg_jax.showing import match_page
+    from fntg_jax.showing import film, match_film, match_page
 
-    seeds = matches.match_seeds(1, seed)
-    home, away = sides
-    history = jax.jit(lambda s: play.record(match, home, away, s))(seeds[0])
+    seeds = matches.match_seeds(1, options.seed)
+    history = jax.jit(lambda s: play.record(match, *sides, s))(seeds[0])
     shown = match_page.recording(match, jax.device_get(history), sides, match.calls)
-    with writing(path, "html"):
-        write_atomically(path, match_page.page(shown).encode())
-    return path
+    if options.html is not None:
+        with writing(options.html, "html"):
+            write_atomically(options.html, match_page.page(shown).encode())
+        say(f"page {options.html}")
+    if options.film is not None and options.body == "tables":
+        pictures = match_film.pictures(shown, options.film_from, options.film_seconds)
+        with writing(options.film, "film"):
+            write_atomically(options.film, film.encoded(pictures, 2 * match.dt, options.film))
+        say(f"film {options.film}")
 
 
 def _span(interval: tuple[float, float]) -> str:

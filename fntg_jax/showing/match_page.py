@@ -1,4 +1,4 @@
-"""A match to watch: one self-contained page, or a film of a stretch of it."""
+"""A match to watch: one self-contained page."""
 
 import base64
 from importlib import resources
