@@ -4,8 +4,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from envs.base import Action, Walk
+from envs.field import distance
 from envs.soccer.match import Match
-from envs.soccer.state import State
+from envs.soccer.state import KICKOFF, PLAY, State
 
 SPEEDS = (0.3, 0.1, 1.5)  # m/s, m/s, rad/s of a full v, v_y, omega
 
@@ -40,11 +41,21 @@ def act(match: Match, actions: Float[Array, "R 6"]) -> Action:
     )
 
 
-def rewards(before: State, after: State, goal: float, progress: float) -> Float[Array, " R"]:
-    """Goals, and the ball's way (m) to the opponents' goal where no goal fell."""
+def rewards(
+    before: State, after: State, goal: float, progress: float, approach: float = 0.0
+) -> Float[Array, " R"]:
+    """Of one step, for each robot: `goal` for a goal of its team (minus that of the others);
+    `progress` for each metre that the ball comes nearer to the opponents' goal line; `approach` for
+    each metre that the robot comes nearer to the ball.  The last two only in open play, not where
+    the referee puts something."""
     scored = (after.statistics.goals - before.statistics.goals).astype(jnp.float32)
     n = before.robots.x.shape[0] // 2
+    playing = (after.game.phase == PLAY) & (scored.sum() == 0) & (after.game.stuck > 0)
     way = before.game.attack * (after.ball.x - before.ball.x)
-    way = jnp.where((after.game.phase == 0) & (scored.sum() == 0), way, 0.0)
-    home = goal * (scored[0] - scored[1]) + progress * way
-    return jnp.concatenate([jnp.full(n, 1.0) * home, jnp.full(n, -1.0) * home])
+    home = goal * (scored[0] - scored[1]) + progress * jnp.where(playing, way, 0.0)
+    far, near = (distance(s.ball.x - s.robots.x, s.ball.y - s.robots.y) for s in (before, after))
+    walks = (after.robots.out <= 0) & (before.robots.out <= 0)
+    nearer = jnp.where((after.game.phase <= KICKOFF) & (scored.sum() == 0) & walks, far - near, 0.0)
+    # A robot and a ball that is kicked part by up to 0.3 m in a step; farther ones were placed.
+    nearer = jnp.where(jnp.abs(nearer) < 0.3, nearer, 0.0)
+    return jnp.concatenate([jnp.full(n, 1.0) * home, jnp.full(n, -1.0) * home]) + approach * nearer

@@ -5,9 +5,9 @@
     seen, state, reward, done, info = env.step(key, state, {agent: action, ...})
 
 The methods are those of JaxMARL's `MultiAgentEnv` (reset, step, step_env, get_obs, spaces, agents,
-num_agents), so that its learners and wrappers take it; JaxMARL need not be installed.  As there,
-`step` begins a new match by itself where one is over.  Observations, actions and rewards:
-`envs.soccer.pettingzoo`.
+num_agents, agent_classes), so that its learners and wrappers take it; JaxMARL need not be
+installed.  As there, `step` begins a new match by itself where one is over.  Observations,
+actions and rewards with their units: `envs.soccer.pettingzoo`.
 """
 
 from typing import Any, NamedTuple
@@ -39,16 +39,19 @@ class Box(NamedTuple):
 
 
 class Soccer:
-    """goal, progress: rewards; options of `Match` by name."""
+    """goal, progress, approach: rewards, see `envs.soccer.flat.rewards`; options of `Match`."""
 
     name = "fntg_soccer"
 
-    def __init__(self, goal: float = 1.0, progress: float = 0.0, **options: Any):
+    def __init__(
+        self, goal: float = 1.0, progress: float = 0.0, approach: float = 0.0, **options: Any
+    ):
         self.match = Match(**options)
-        self.goal, self.progress = goal, progress
+        self.rewards = goal, progress, approach
         n = self.match.players
         self.agents = [f"{team}_{k}" for team in ("home", "away") for k in range(n)]
         self.num_agents = len(self.agents)
+        self.agent_classes = {"home": self.agents[:n], "away": self.agents[n:]}
         seen = Box(-1e3, 1e3, (width(self.match),))
         self.observation_spaces = dict.fromkeys(self.agents, seen)
         self.action_spaces = dict.fromkeys(self.agents, Box(-1.0, 1.0, (6,)))
@@ -65,10 +68,11 @@ class Soccer:
         state = self.match.reset(seed % 2, seed)
         return self.get_obs(state), state
 
-    def step(self, key: Array, state: State, actions: Named):
-        """`step_env`, then a new match where this one is over."""
+    def step(self, key: Array, state: State, actions: Named, reset_state: State | None = None):
+        """`step_env`, then a new match (or `reset_state`) where this one is over."""
         seen, after, reward, done, info = self.step_env(key, state, actions)
-        fresh_seen, fresh = self.reset(key)
+        fresh = self.reset(key)[1] if reset_state is None else reset_state
+        fresh_seen = self.get_obs(fresh)
         choose = lambda new, old: jnp.where(done["__all__"], new, old)  # noqa: E731
         seen, after = jax.tree.map(choose, (fresh_seen, fresh), (seen, after))
         return seen, after, reward, done, info
@@ -77,7 +81,7 @@ class Soccer:
         """One control step of 0.1 s, without a new match at the end."""
         rows = jnp.stack([actions[a] for a in self.agents])
         after = self.match.step(state, act(self.match, rows))
-        reward = rewards(state, after, self.goal, self.progress)
+        reward = rewards(state, after, *self.rewards)
         over = self.match.finished(after)
         done = {**dict.fromkeys(self.agents, over), "__all__": over}
         return self.get_obs(after), after, self._named(reward), done, {}

@@ -7,10 +7,10 @@ Agents are home_0 ... and away_0 ...  An observation is 9 + 4 x players float32 
 of the agent's team (x to the opponents' goal): own x, y (m), cos, sin of the heading; ball x, y
 (m), vx, vy (m/s); x, y (m) of all robots, own team by shirt, then the others; 1 in play, 0
 else.  An action is six numbers in [-1, 1]: v, v_y, omega as shares of 0.3 m/s, 0.1 m/s, 1.5
-rad/s; pan as a share of
-1.5 rad; kick (none below 0, else the first of the table); get up (where > 0).  Reward of a step:
-`goal` for each goal of the own team minus those of the others, and `progress` for each metre that
-the ball comes nearer to the opponents' goal.
+rad/s; pan as a share of 1.5 rad; kick (none up to 0, else the first of the table); get up (where
+> 0).  Reward of a step: `goal` for each goal of the own team minus those of the others, `progress`
+for each metre that the ball comes nearer to the opponents' goal line, `approach` for each metre
+that the robot itself comes nearer to the ball.
 """
 
 from typing import Any
@@ -26,11 +26,14 @@ from envs.soccer.match import Match
 
 
 class parallel_env(ParallelEnv):
-    """One match as a ParallelEnv.  players, minutes, ...: of `Match`; goal, progress: rewards."""
+    """One match as a ParallelEnv.  players, minutes, ...: of `Match`; goal, progress, approach:
+    rewards (`envs.soccer.flat.rewards`)."""
 
     metadata = {"name": "fntg_soccer_v1", "render_modes": []}  # noqa: RUF012
 
-    def __init__(self, goal: float = 1.0, progress: float = 0.0, **options: Any):
+    def __init__(
+        self, goal: float = 1.0, progress: float = 0.0, approach: float = 0.0, **options: Any
+    ):
         self.match = Match(**options)
         n = self.match.players
         self.possible_agents = [f"{team}_{k}" for team in ("home", "away") for k in range(n)]
@@ -47,7 +50,8 @@ class parallel_env(ParallelEnv):
         @jax.jit
         def step(state, actions):
             after = self.match.step(state, act(self.match, actions))
-            return after, observe(self.match, after), rewards(state, after, goal, progress)
+            reward = rewards(state, after, goal, progress, approach)
+            return after, observe(self.match, after), reward
 
         self._step = step
         self._rng = np.random.default_rng()

@@ -31,8 +31,8 @@ class Recording(NamedTuple):
     dt: s; teams: names; robots: [T, R, 4] x, y, heading, pan of the head; on: [T, R] on the field;
     ball: [T, 2]; score: [T, 2]; calls: the referee's.  Where a team says what it thinks: beliefs
     [T, R, 5], x, y, heading and ball's x, y as it believes (NaN: none); labels [T, R, 3], indices
-    of role, behaviour and rule; roles, behaviors, rules: names, per team.  size: m, length
-    and width of a robot.
+    of role, behaviour and rule; roles, behaviors, rules: names, per team.  says: [T, R], it asks to
+    say a word.  size: m, length and width of a robot.
     """
 
     dt: float
@@ -49,6 +49,7 @@ class Recording(NamedTuple):
     roles: tuple[tuple[str, ...], ...] = ((), ())
     behaviors: tuple[tuple[str, ...], ...] = ((), ())
     rules: tuple[tuple[str, ...], ...] = ((), ())
+    says: np.ndarray | None = None
 
 
 def page(match: Recording) -> str:
@@ -76,6 +77,7 @@ def page(match: Recording) -> str:
         "size": match.size,
         "beliefs": None if match.beliefs is None else _packed(match.beliefs),
         "labels": None if match.labels is None else _bytes(match.labels),
+        "says": None if match.says is None else _bytes(match.says),
         "roles": match.roles,
         "behaviors": match.behaviors,
         "rules": match.rules,
@@ -135,6 +137,7 @@ def recording(
             heading = beliefs[:, rows, 2] + np.where(turned, np.pi, 0)
             beliefs[:, rows, 2] = (heading + np.pi) % (2 * np.pi) - np.pi
     words = [side.words for side in sides]
+    says = np.asarray(history.action.say).any(-1)
     return Recording(
         dt=match.dt,
         teams=(sides[0].name, sides[1].name),
@@ -149,4 +152,5 @@ def recording(
         roles=tuple(word.roles for word in words),
         behaviors=tuple(word.behaviors for word in words),
         rules=tuple(word.rules for word in words),
+        says=np.concatenate([says, says[-1:] & False]),
     )
