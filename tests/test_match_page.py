@@ -4,13 +4,14 @@ import io
 import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from envs.field import FIELD
-from fntg_jax.showing import match_film, match_page
+from fntg_jax.showing import film, match_film, match_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
@@ -120,14 +121,15 @@ def test_it_fills_desktop_and_phone(shown, size, dark, tmp_path):
 
 @pytest.mark.parametrize("image_format", ["GIF", "WEBP"])
 def test_film(shown, image_format):
-    data = match_film.film(shown, 25.0, 8.0, image_format)
+    path = Path(f"x.{image_format.lower()}")
+    data = film.encoded(match_film.pictures(shown, 25.0, 8.0), 0.2, path)
     assert len(data) < 3e6
-    with Image.open(io.BytesIO(data)) as film:
-        assert film.format == image_format and film.n_frames >= 41
+    with Image.open(io.BytesIO(data)) as moving:
+        assert moving.format == image_format and moving.n_frames >= 41
         frames = []
-        for n in (0, film.n_frames - 1):
-            film.seek(n)
-            frames.append(np.asarray(film.convert("RGB")).astype(int))
+        for n in (0, moving.n_frames - 1):
+            moving.seek(n)
+            frames.append(np.asarray(moving.convert("RGB")).astype(int))
     height, width = frames[0].shape[:2]
     middle = np.s_[height // 2 : height // 2 + 20, width // 2 - 60 : width // 2 + 60]
     # At the end the score stands in the middle: white on dark.
@@ -137,4 +139,4 @@ def test_film(shown, image_format):
 
 def test_a_film_begins_within_the_match(shown):
     with pytest.raises(ValueError, match="film_from = 700"):
-        match_film.film(shown, 700.0, 8.0, "GIF")
+        match_film.pictures(shown, 700.0, 8.0)

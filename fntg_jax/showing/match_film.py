@@ -1,4 +1,4 @@
-"""A stretch of a match as an animated picture: the field from above, clock, score, calls."""
+"""A stretch of a match in pictures: the field from above, clock, score, calls."""
 
 import math
 from typing import Any
@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from fntg_jax.showing.match_page import Recording
-from fntg_jax.showing.replay import encode
 
 WIDTH = 480  # pixels
 _SMOOTH = 2  # drawn so many times larger
@@ -17,9 +16,9 @@ _TEAMS = ("#c62828", "#1f5fbf")
 _GRASS, _WHITE, _ORANGE, _DARK = "#3f8f55", "#f4f4f4", "#ff7a00", "#20242a"
 
 
-def film(match: Recording, start: float, seconds: float, image_format: str) -> bytes:
-    """`seconds` from `start` (s of play, breaks included), every second step in real time, then
-    the score.  image_format: GIF or WEBP.
+def pictures(match: Recording, start: float, seconds: float) -> list[np.ndarray]:
+    """`seconds` from `start` (s of play, breaks included), every second step, then the score for
+    two seconds: uint8 [height, width, 3], 2 dt apart.
 
     Raises ValueError where nothing of the match lies there.
     """
@@ -28,10 +27,8 @@ def film(match: Recording, start: float, seconds: float, image_format: str) -> b
     if not 0 <= first < length - 1:
         raise ValueError(f"film_from = {start}: allowed are 0 to {(length - 2) * match.dt:.1f} s")
     steps = range(first, min(first + round(seconds / match.dt) + 1, length), 2)
-    frames = [_frame(match, n) for n in steps]
-    # The score at the end stays: whole pictures, since an animation has one rate.
-    frames += [_frame(match, steps[-1], final=True)] * round(_LAST / (2 * match.dt))
-    return encode(frames, 2 * match.dt, image_format)
+    last = [_frame(match, steps[-1], final=True)] * round(_LAST / (2 * match.dt))
+    return [np.asarray(frame) for frame in [*(_frame(match, n) for n in steps), *last]]
 
 
 def _frame(match: Recording, n: int, final: bool = False) -> Any:
