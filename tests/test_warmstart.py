@@ -109,7 +109,7 @@ def test_command_and_resume_after_the_source_is_gone(source, tmp_path, capsys, m
     # As `train` leaves it when it is killed before the first checkpoint of evolution.
     from fntg_jax.commands import train
 
-    monkeypatch.setattr(train, "_learn", lambda run, folder: (_ for _ in ()).throw(SystemExit(137)))
+    monkeypatch.setattr(train, "_learn", lambda *_: (_ for _ in ()).throw(SystemExit(137)))
     with pytest.raises(SystemExit):
         cli.main(["train", *small, *warm_start, "--out", str(part)])
     monkeypatch.undo()
