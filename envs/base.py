@@ -295,6 +295,7 @@ class World(NamedTuple):
     field: its map, for pictures.
     film: (environment, batched scenes, observation -> command, whether in a window) -> Film, or
     None; ValueError at once where nothing can be drawn.
+    differentiable: whether a gradient through its trials is worth following.
     """
 
     make: Callable[..., Any]
@@ -302,6 +303,7 @@ class World(NamedTuple):
     mix: Callable[..., Callable[..., Scene]]
     field: Field
     film: Callable[[Any, Scene, Callable[[Any], Any], bool], Film] | None = None
+    differentiable: bool = True
 
 
 class Gene(NamedTuple):

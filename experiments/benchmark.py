@@ -19,7 +19,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-import tyro
 
 from experiments import script
 from experiments.baselines import jobs, plain_numpy
@@ -226,7 +225,7 @@ def first_figure(seeds: int = 30) -> None:
 def main() -> None:
     from fntg_jax.commands.cli import refuse
 
-    options = tyro.cli(Options, description=__doc__, prog="experiments/benchmark.py")
+    options = script.options(Options, __doc__, "experiments/benchmark.py")
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -17,7 +17,6 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 
 from experiments import script
 from fntg_jax.commands.cli import refuse
@@ -122,7 +121,7 @@ def run(config: Config) -> list[dict]:
 
 
 def main(argv: list[str] | None = None) -> None:
-    config = tyro.cli(Config, args=argv)
+    config = script.options(Config, Config.__doc__, "experiments/benchmark_quadruped.py", argv)
     xla.configure()
     print(f"{jax.devices()}", flush=True)
     try:

@@ -176,7 +176,7 @@ def photographed(options: Options) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main() -> None:
-    options = tyro.cli(Options, description=__doc__)
+    options = script.options(Options, __doc__, "experiments/calibrate_colors.py")
     xla.configure()
     out = options.out or Path(f"fntg_jax/robot/data/colours_{options.kind}.npz")
     with script.folder(out.parent):

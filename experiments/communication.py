@@ -26,7 +26,6 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 
 from envs.soccer import audio
 from experiments import script
@@ -345,7 +344,7 @@ def draw(rows: list[dict[str, object]], path: Path) -> None:
 
 
 def main() -> None:
-    options = tyro.cli(Options, description=__doc__, prog="experiments/communication.py")
+    options = script.options(Options, __doc__, "experiments/communication.py")
     xla.configure()
     with script.folder(options.out):
         script.check_least(options, frames=8, attempts=512)

@@ -242,7 +242,7 @@ def evolve(env, config: Config) -> tuple[np.ndarray, float]:
 
 
 def main(argv: list[str] | None = None) -> None:
-    config = tyro.cli(Config, args=argv)
+    config = script.options(Config, Config.__doc__, "experiments/evolve_motion.py", argv)
     try:
         script.check_files(config, "out")
         script.check_least(config, generations=1, population=2, seed=0)

@@ -6,8 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import tyro
-
 from experiments import script
 from fntg_jax.running import xla
 
@@ -30,7 +28,7 @@ class Options:
 
 def main(doc: str, name: str, run: Callable, plot: Callable) -> None:
     """Parse options, run, plot; bad input is one line and exit status 2."""
-    options = tyro.cli(Options, description=doc, prog=f"experiments/{name}.py")
+    options = script.options(Options, doc, f"experiments/{name}.py")
     xla.configure(num_cpu_devices=os.cpu_count() or 1)
     with script.folder(options.out):
         print(plot(run(options), options.out / f"{name}.png"))

@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 
 from experiments import script
 from fntg_jax import export
@@ -288,7 +287,7 @@ def plot(rows: list[Row], path: Path) -> Path:
 
 
 def main() -> None:
-    options = tyro.cli(Options, description=__doc__, prog="experiments/generalization.py")
+    options = script.options(Options, __doc__, "experiments/generalization.py")
     xla.configure(num_cpu_devices=os.cpu_count() or 1)
     with script.folder(options.out):
         compared, ablated = run(options)

@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 
 from envs.base import Observation
 from experiments import script
@@ -324,7 +323,7 @@ def plot(results: list[Result], path: Path) -> Path:
 
 def main() -> None:
     xla.configure()
-    options = tyro.cli(Options, description=__doc__, prog="experiments/readings.py")
+    options = script.options(Options, __doc__, "experiments/readings.py")
     with script.folder(options.out):
         results = run(options)
         print("\n" + "\n".join(warnings(results)))

@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 
 from envs.field import FIELD
 from experiments import localization_logs as logs
@@ -397,7 +396,7 @@ def run(options: Options) -> Path:
 
 
 def main() -> None:
-    options = tyro.cli(Options, description=__doc__, prog="experiments/localization.py")
+    options = script.options(Options, __doc__, "experiments/localization.py")
     xla.configure()
     with script.folder(options.out):
         print(run(options))

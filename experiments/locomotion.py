@@ -158,7 +158,7 @@ def kicks(env, num: int, seed: int) -> list[dict[str, Any]]:
 
 
 def main(argv: list[str] | None = None) -> None:
-    config = tyro.cli(Config, args=argv)
+    config = script.options(Config, Config.__doc__, "experiments/locomotion.py", argv)
     try:
         _main(config)
     except ValueError as error:

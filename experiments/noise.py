@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 
 import fntg_jax
 from experiments import script
@@ -182,7 +181,7 @@ def plot(results: Results, path: Path) -> Path:
 
 
 def main() -> None:
-    options = tyro.cli(Options, description=__doc__, prog="experiments/noise.py")
+    options = script.options(Options, __doc__, "experiments/noise.py")
     xla.configure(num_cpu_devices=os.cpu_count() or 1)
     with script.folder(options.out):
         print(plot(run(options), options.out / "noise.png"))

@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import tyro
 
 from experiments import optimizers_brax, optimizers_fntg, script
 from experiments.optimizers_fntg import Task
@@ -228,7 +227,7 @@ def plot(rows: list[Row], path: Path) -> Path:
 
 
 def main() -> None:
-    options = tyro.cli(Options, description=__doc__, prog="experiments/optimizers.py")
+    options = script.options(Options, __doc__, "experiments/optimizers.py")
     xla.configure()
     with script.folder(options.out):
         rows, left_out = run(options)

@@ -1,12 +1,22 @@
 """What the scripts share: a folder for results, and one line where something is off."""
 
 import contextlib
+import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from fntg_jax.commands.cli import refuse
+from fntg_jax.commands.cli import read_options, refuse
 from fntg_jax.files import csv_table, write_atomically
+
+
+def options(cls: type, about: str | None, program: str, argv: list[str] | None = None) -> Any:
+    """The options of a script: one line and status 2 where they are wrong."""
+    argv = sys.argv[1:] if argv is None else argv
+    try:
+        return read_options(cls, argv, program, {"description": about})
+    except ValueError as error:
+        refuse(str(error))
 
 
 @contextlib.contextmanager

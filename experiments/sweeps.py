@@ -7,8 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import tyro
-
 from experiments import script
 from fntg_jax.commands.cli import say
 from fntg_jax.controller.layout import LAYOUTS
@@ -87,7 +85,7 @@ def main(name: str) -> None:
     """Parse options, run, plot; the leaderboard on stdout; bad input is one line and status 2."""
     script_name = f"sweep_{name}"
     about = SWEEPS[name].about
-    options = tyro.cli(Options, description=about, prog=f"experiments/{script_name}.py")
+    options = script.options(Options, about, f"experiments/{script_name}.py")
     xla.configure(num_cpu_devices=os.cpu_count() or 1)
     from fntg_jax.showing import sweep_report
 

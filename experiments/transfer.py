@@ -25,7 +25,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 
 import fntg_jax
 from experiments import script
@@ -306,7 +305,7 @@ def _interval(values: np.ndarray, sign: str) -> str:
 
 
 def main(argv: list[str] | None = None) -> None:
-    config = tyro.cli(Config, args=argv)
+    config = script.options(Config, Config.__doc__, "experiments/transfer.py", argv)
     xla.configure()
     with script.folder(config.out):
         print(table(run(config)))

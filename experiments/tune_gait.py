@@ -45,7 +45,7 @@ class Config:
 
 
 def main(argv: list[str] | None = None) -> None:
-    config = tyro.cli(Config, args=argv)
+    config = script.options(Config, Config.__doc__, "experiments/tune_gait.py", argv)
     try:
         _main(config)
     except ValueError as error:

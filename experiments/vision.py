@@ -19,12 +19,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 
 from envs.base import Camera
 from envs.field import FIELD
 from envs.soccer import image, image_mjcf
 from experiments import script
+from fntg_jax.commands.cli import refuse
 from fntg_jax.robot import colours, sight, vision
 from fntg_jax.running import statistics, xla
 
@@ -261,11 +261,14 @@ def summary(ball: np.ndarray, marks: np.ndarray) -> dict[str, Any]:
 
 
 def main() -> None:
-    options = tyro.cli(Options, description=__doc__)
+    options = script.options(Options, __doc__, "experiments/vision.py")
     os.environ.setdefault("MUJOCO_GL", "egl")
     xla.configure()
-    script.check_least(options, frames=1)
-    rows = judge(options)
+    try:
+        script.check_least(options, frames=1)
+        rows = judge(options)
+    except ValueError as error:
+        refuse(str(error))
     if options.json:
         json.dump(rows, sys.stdout, allow_nan=False)
         print()

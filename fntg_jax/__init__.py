@@ -216,15 +216,9 @@ def load(path: str | Path) -> "Controller":
 
     Raises ValueError (one line) when it cannot be read or is not valid.
     """
-    import os
-
     from fntg_jax import export
 
-    # os.path, because methods of Path raise on names that no file can have.
-    if os.path.isdir(path):
-        return export.load(Path(path, "params.json"))
-    ours = not os.path.lexists(path) and str(path) == "bioa"
-    return export.load(shipped("bioa") if ours else path)
+    return export.load(path)
 
 
 def save(controller: "Controller", path: str | Path) -> None:

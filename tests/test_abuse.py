@@ -16,7 +16,16 @@ import pytest
 from envs import scenes
 from fntg_jax import files
 from fntg_jax.commands import cli
-from fntg_jax.running import checkpoint, config_file, problem, run_folder, runner, settings, xla
+from fntg_jax.running import (
+    checkpoint,
+    config_file,
+    problem,
+    run_folder,
+    runner,
+    settings,
+    statistics,
+    xla,
+)
 from fntg_jax.running.settings import TrainConfig
 from tests.small_run import small_run
 
@@ -183,6 +192,43 @@ def test_a_run_whose_fitness_overflows_says_so(status, tmp_path):
     small = ("--generations", 1, "--ga.population", 8)
     code, words = status("train", *huge, *small, "--out", tmp_path / "run")
     assert code == 3 and "overflow" in words.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("refine", "bioa", "--env", "quadruped", "--steps", 1), "take --method cma"),
+        (("export", "bioa", "x.json", "--seed", 3), "seed = 3: bioa is no run folder"),
+        (("replay", "bioa", "--generations", 1), "only a run folder has them"),
+        (("replay", "bioa", "--out", "/nonexistent/x.html"), "/nonexistent is not a folder"),
+        (("replay", "bioa", "--out", "x.gif", "--width", 9), "width = 9: allowed are 100 to 1280"),
+        (("evaluate", "born"), "born: not finished; continue it: fntg train --resume born"),
+        (("report", "born", "--scenes", -4), "scenes = -4: allowed are"),
+    ],
+    ids=lambda x: str(x[0]),
+)
+def test_what_cannot_be_is_said_before_any_work(arguments, words, status, tmp_path):
+    (tmp_path / "born").mkdir()
+    (tmp_path / "born" / "config.json").write_text("{}")
+    code, said = status(*arguments)
+    assert code == 2 and words in said and said.count("\n") == 1
+
+
+def test_scripts_say_one_line_too(capsys, monkeypatch):
+    from experiments import noise
+
+    monkeypatch.setattr("sys.argv", ["noise.py", "--nonsense", "3"])
+    with pytest.raises(SystemExit) as stop:
+        noise.main()
+    said = capsys.readouterr()
+    assert (stop.value.code, said.out, said.err.count("\n")) == (2, "", 1)
+    assert "nonsense" in said.err and "see experiments/noise.py --help" in said.err
+
+
+def test_one_failure_of_thousands_is_not_all():
+    assert str(statistics.wilson(1999, 2000)).startswith("99.9 %")
+    assert str(statistics.wilson(2000, 2000)).startswith("100.0 %")
+    assert str(statistics.wilson(1, 9000)).startswith("0.1 %")
 
 
 # Signals, in processes of their own.

@@ -1,6 +1,9 @@
 """The report of a run: complete, self-contained, inert."""
 
 import base64
+import html
+import json
+import os
 import re
 import shutil
 
@@ -21,17 +24,29 @@ def test_report(run_folder, capsys):
     out = run_folder / "report.html"
     assert capsys.readouterr().out == f"{out}\n"
     page = out.read_text()
-    assert page.count("<img alt=") == 4
+    assert page.count("<img alt=") == 7  # Fig. 5 to 8, memberships, surfaces, failures
     assert "<h1>Learning run &lt;b&gt;run &amp; @BODY@</h1>" in page
     assert page.count("IF the ball is") == 16
     assert all(f"<th>{s}<td>" in page for s in ("open", "blocked", "moving-ball"))
-    assert "<th>ga.population<td>8" in page
+    settings = page.partition("<h2>Configuration</h2>")[2].partition("<h2>")[0]
+    rows = re.findall("<tr><th>(.*?)<td>(.*)", settings)
+    assert dict(rows) == {  # and nothing at its default
+        "seeds": "2",
+        "first_seed": "5",
+        "generations": "2",
+        "ga.population": "8</table></div>",
+    }
     assert "<th>versions.jax<td>" in page
     inside = re.search(r'download="params.json" href="data:[^,]*,([^"]*)"', page)[1]
     assert base64.b64decode(inside).decode() == (run_folder / "params.json").read_text()
-    assert "<script" not in page
+    assert "<script" not in page  # the replay is an attribute
+    inside = html.unescape(re.search('srcdoc="(.*?)"', page, re.S)[1])
+    assert inside.count("<script") == 2 and inside.startswith("<!DOCTYPE html>")
+    assert len(json.loads(re.search('id="data">(.*?)</script>', inside, re.S)[1])["panels"]) == 2
     assert not re.search(r'(src|href)="(?!data:|history\.npz")', page)
-    assert len(page) < 1_500_000
+    assert len(page) < 2_500_000
+    if folder := os.environ.get("FNTG_TEST_PAGES"):  # to look at
+        shutil.copy(out, folder)
 
 
 @pytest.mark.parametrize(
@@ -39,6 +54,7 @@ def test_report(run_folder, capsys):
     [
         ("config.json", "{", "not JSON"),
         ("provenance.json", "[1", "not JSON"),
+        ("provenance.json", "[" * 100_000, "not JSON"),
         ("metrics.csv", None, "No such file"),
         ("params.json", "{}", "is a required property"),
         ("checkpoint.npz", None, "not finished"),

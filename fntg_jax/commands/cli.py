@@ -113,12 +113,18 @@ def say(message: str) -> None:
 
 
 def parse(cls: type, argv: list[str], command: str, default: Any = None) -> Any:
-    """tyro, with its boxed error message folded to one line."""
+    """The options of a command.  Raises ValueError in one line."""
+    return read_options(
+        cls, argv, f"fntg {command}", {} if default is None else {"default": default}
+    )
+
+
+def read_options(cls: type, argv: list[str], program: str, options: dict[str, Any]) -> Any:
+    """tyro, with its boxed error message folded to one line of a ValueError."""
     caught = io.StringIO()
-    options = {} if default is None else {"default": default}
     try:
         with contextlib.redirect_stderr(caught):
-            return tyro.cli(cls, args=argv, prog=f"fntg {command}", **options)
+            return tyro.cli(cls, args=argv, prog=program, **options)
     except SystemExit as stop:
         if stop.code != 2:
             sys.stderr.write(caught.getvalue())
@@ -127,7 +133,7 @@ def parse(cls: type, argv: list[str], command: str, default: Any = None) -> Any:
     body = [line for line in lines[1:] if line]
     rules = [n for n, line in enumerate(caught.getvalue().split("\n")[1:]) if "───" in line]
     message = " ".join(body[: rules[0]] if rules else body)
-    raise ValueError(f"{message} (see fntg {command} --help)")
+    raise ValueError(f"{message} (see {program} --help)")
 
 
 def load_controller(path: Path, seed: int | None = None) -> Any:
@@ -137,6 +143,8 @@ def load_controller(path: Path, seed: int | None = None) -> Any:
 
     if seed is None:
         return fntg_jax.load(path)
+    if not os.path.isdir(path):
+        raise ValueError(f"seed = {seed}: {path} is no run folder, which alone has several")
     from fntg_jax.running import controllers
 
     return controllers.of_seed(path, seed)

@@ -65,13 +65,19 @@ def main(argv: list[str]) -> None:
     from fntg_jax import export
     from fntg_jax.files import writing
     from fntg_jax.learning import cma, gradient, objective
+    from fntg_jax.learning.rollout import EPISODE_STEPS
     from fntg_jax.running import evaluation
 
     controller = load_controller(options.controller)
     world = registry.get_world(options.env)
+    by_gradient = options.method == "gradient"
+    if by_gradient and not world.differentiable:
+        raise ValueError(
+            f"method = gradient: world {options.env} has no gradient worth following; take "
+            "--method cma"
+        )
     suite = registry.get_suite(world, options.suite)
     optimiser = gradient.optimiser(options.optimizer, options.steps, options.rate)
-    by_gradient = options.method == "gradient"
     env = evaluation.environment_for(controller, world, **options.env_options)
     # Checkpointed: reverse mode then stores one state a control step.
     problem = objective.smooth_descent(
@@ -83,9 +89,11 @@ def main(argv: list[str]) -> None:
         options.seed,
         checkpoint=by_gradient,
     )
+    trials = options.scenes * (1 if by_gradient else cma.POPULATION)
     say(
         f"{options.steps} steps of {options.optimizer if by_gradient else 'CMA-ES'} on "
-        f"{options.scenes} scenes each ({options.suite}), world {options.env}; compiling takes a "
+        f"{options.scenes} scenes each ({options.suite}), world {options.env}: "
+        f"{trials * EPISODE_STEPS / 1e6:.2g} million control steps a step; compiling takes a "
         "while ..."
     )
     key = jax.random.key(options.seed)

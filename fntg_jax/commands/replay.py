@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import tyro
 
 from fntg_jax.commands.cli import load_controller, parse, say
+from fntg_jax.files import check_out
 from fntg_jax.running import controllers, registry, xla
 
 
@@ -33,6 +34,8 @@ class ReplayOptions:
     of the run."""
     env: str = ""
     """world, by its entry point name; without it each controller's own."""
+    width: int = 0
+    """of a .gif or .webp: pixels; 0 for about 400 a trial beside another.  None is over 3 MB."""
     view: bool = False
     """play one trial of a walking robot in MuJoCo's viewer instead, which needs a display."""
 
@@ -44,6 +47,12 @@ def main(argv: list[str]) -> None:
         raise ValueError(f"out = {options.out}: allowed are names ending in .html, .gif, .webp")
     if not options.controllers:
         raise ValueError("no controller given: name a params.json or a run folder")
+    if options.width and not 100 <= options.width <= 1280:
+        raise ValueError(f"width = {options.width}: allowed are 100 to 1280 pixels")
+    if not options.view:
+        check_out(options.out)
+    if options.generations and not any(os.path.isdir(path) for path in options.controllers):
+        raise ValueError("generations: only a run folder has them")
     xla.configure()
 
     titled = []
@@ -90,7 +99,7 @@ def _draw(trials: Any, options: ReplayOptions) -> None:
         scenes = replay.choice(trials[0][2], options.suite, options.seed)
         data = replay.page(panels, title, scenes).encode()
     else:
-        data = replay.animation(panels, suffix[1:].upper())
+        data = replay.animation(panels, suffix[1:].upper(), options.width)
     for panel in panels:
         say(f"{panel['title']}, {panel['scene']}: {panel['result']}")
     _write({options.out: data})
@@ -102,7 +111,7 @@ def _film(trials: Any, options: ReplayOptions) -> None:
 
     say("simulating and drawing ...")
     shots = _recorded(film.shoot, trials, options)
-    data, keys = film.animation(shots, options.out.suffix[1:].upper())
+    data, keys = film.animation(shots, options.out.suffix[1:].upper(), options.width)
     for shot in shots:
         say(f"{shot.title}, {shot.scene}: {shot.result}")
     stem = options.out.with_suffix("")

@@ -28,10 +28,12 @@ class ReportOptions:
 def main(argv: list[str]) -> None:
     options = parse(ReportOptions, argv, "report")
     xla.configure()
-    from fntg_jax.files import write_atomically
+    from fntg_jax.files import check_out, write_atomically
     from fntg_jax.showing import report
 
     out = options.out or options.run / "report.html"
+    if options.out is not None:
+        check_out(out)
     data = report.page(options.run, options.scenes, options.suite).encode()
     try:
         write_atomically(out, data)

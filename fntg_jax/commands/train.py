@@ -116,12 +116,17 @@ def _train(folder: Path, run: Any, stop: stopping.Stop, resumed: bool) -> None:
         f"{config.seeds} run{'s' if config.seeds > 1 else ''} of {config.generations} generations, "
         f"{config.ga.population} genomes x {what}; {where}"
     )
+    if config.seeds > 1:
+        say("numbers of the progress are medians over them")
+    if run.problem.task is None and config.suite == "paper" and config.num_scenes > 4:
+        say(f"suite paper has 4 starts: {config.num_scenes} trials repeat them")
     if run.done:
         say("this run is complete: writing its results again")
     else:
         if resumed:
             say(f"continuing after generation {run.generation}")
         _learn(run, folder, stop)
+    began = time.perf_counter()
     with writing(folder):
         if config.scene_pool or config.refine_steps or run.problem.blocks > 1:
             what = ", then refining them" if config.refine_steps else ""
@@ -139,7 +144,10 @@ def _train(folder: Path, run: Any, stop: stopping.Stop, resumed: bool) -> None:
     if result.judgement:
         judged = {name: x[np.argmax(result.fitness)] for name, x in result.judgement.items()}
         say("judged: " + ", ".join(f"{name} {x:.4g}" for name, x in judged.items()))
-    say(f"best fitness {result.fitness.max():.4g}{spread}; {run.run_seconds:.2f} s of evolution")
+    say(
+        f"best fitness {result.fitness.max():.4g}{spread}; {run.run_seconds:.2f} s of evolution, "
+        f"{time.perf_counter() - began:.2f} s of choosing and writing"
+    )
     found = "controller" if run.problem.task is None else "genes"
     if hosts.is_first():
         say(f"figure {figure}, {found} {folder / 'params.json'}")

@@ -1,6 +1,7 @@
 """Trained controllers in files: JSON (the exchange format), NumPy, C99, FuzzyLite Language,
 MATLAB."""
 
+import os
 from pathlib import Path
 
 from fntg_jax.controller.controller import Controller, from_bits
@@ -34,10 +35,18 @@ def load(path: str | Path) -> Controller:
     """Read a controller.
 
     Args:
-        path: params.json, or a .fll that we exported.
+        path: params.json, a .fll, or a run folder; where there is nothing of that name, "bioa" is
+            the one that comes with the package.
 
     Raises ValueError (one line) when it cannot be read or is not valid.
     """
+    # os.path, because methods of Path raise on names that no file can have.
+    if os.path.isdir(path):
+        folder, path = path, Path(path, "params.json")
+        if not os.path.lexists(path) and os.path.lexists(Path(folder, "config.json")):
+            raise ValueError(f"{folder}: not finished; continue it: fntg train --resume {folder}")
+    elif str(path) == "bioa" and not os.path.lexists(path):
+        path = shipped("bioa")
     text = read_text(path, "parameter file")
     reader = fll_format if Path(path).suffix == ".fll" else json_format
     return reader.loads(text, str(path))

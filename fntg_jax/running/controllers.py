@@ -65,7 +65,7 @@ def _row(config: TrainConfig, seed: int) -> int:
 def of_generation(folder: Path, generation: int) -> export.Controller:
     """The best controller of one generation (from 1), of the seed that params.json comes from.
     Raises ValueError (one line) where the folder does not hold it."""
-    best = export.load(folder / "params.json")
+    best = export.load(folder)
     config = config_file.load(folder)
     if not 1 <= generation <= config.generations:
         raise ValueError(f"generation = {generation}: the run has 1 to {config.generations}")
@@ -82,7 +82,7 @@ def of_generation(folder: Path, generation: int) -> export.Controller:
 def of_seed(folder: Path, seed: int) -> export.Controller:
     """The final controller of one seed of a completed run.  Raises ValueError (one line) where the
     folder does not hold it."""
-    best = export.load(folder / "params.json")
+    best = export.load(folder)
     config = config_file.load(folder)
     index = _row(config, seed)
     if seed == best.provenance.get("seed"):

@@ -64,15 +64,20 @@ def held_out_suites(world: Any) -> list[str]:
 def held_out_scenes(world: Any, suite: str, num_scenes: int, seed: int = 0) -> Any:
     """`num_scenes` scenes of a suite; asking for more leaves the first ones as they are.
     Raises ValueError on an unknown suite or number of scenes."""
-    if not 1 <= num_scenes <= MOST_SCENES:
-        raise ValueError(
-            f"scenes = {num_scenes}: allowed are whole numbers from 1 to {MOST_SCENES}"
-        )
+    check_scenes(num_scenes)
     if not 0 <= seed < 2**32:
         raise ValueError(f"seed = {seed}: allowed are whole numbers from 0 below 2^32")
     # Training seeds are folded from small whole numbers; this constant keeps the suites apart.
     key = jax.random.fold_in(jax.random.key(seed), 0x5CE4E)
     return get_suite(world, suite)(key, num_scenes)
+
+
+def check_scenes(num_scenes: int) -> None:
+    """Raises ValueError: scenes, value, what is allowed."""
+    if not 1 <= num_scenes <= MOST_SCENES:
+        raise ValueError(
+            f"scenes = {num_scenes}: allowed are whole numbers from 1 to {MOST_SCENES}"
+        )
 
 
 def environment_for(controller: Controller, world: Any, **options: float) -> Any:

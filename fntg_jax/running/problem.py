@@ -140,6 +140,11 @@ def resolve(config: TrainConfig, task: Task | None = None) -> Problem:
         world = get_world(config.env)
         suite = get_suite(world, config.suite)
         env = world.make(**config.env_options)
+        if config.refine_steps and config.refine_method == "gradient" and not world.differentiable:
+            raise ValueError(
+                f"refine_method = gradient: world {config.env} has no gradient worth following; "
+                "allowed is cma"
+            )
         layout = get_layout(config.layout)
         return Problem(config, layout.genes, None, world, layout, env, suite)
     for field in dataclasses.fields(config):

@@ -18,7 +18,10 @@ class Rate(NamedTuple):
     high: float
 
     def __str__(self) -> str:
-        return f"{100 * self.share:.1f} % ({100 * self.low:.1f}-{100 * self.high:.1f})"
+        # One failure in thousands is not "100.0 %".
+        share = min(self.share, 0.999) if self.share < 1 else 1.0
+        share = max(share, 0.001) if self.share > 0 else 0.0
+        return f"{100 * share:.1f} % ({100 * self.low:.1f}-{100 * self.high:.1f})"
 
 
 def wilson(successes: int, trials: int, z: float = 1.959964) -> Rate:

@@ -15,7 +15,6 @@ from fntg_jax.running.evaluation import Evaluation
 from fntg_jax.showing import plots
 
 MOST = 12  # trials shown of a suite
-_COLUMNS = 4
 
 
 def reasons(outcome: Any) -> list[str]:
@@ -33,44 +32,55 @@ def reasons(outcome: Any) -> list[str]:
 
 
 def picture(
-    controller: Controller, world: Any, env: Any, results: list[Evaluation], path: str | Path
+    controller: Controller,
+    world: Any,
+    env: Any,
+    results: list[Evaluation],
+    path: str | Path,
+    most: int = MOST,
 ) -> Path:
     """The first failed trials of every suite from above, PNG and PDF; returns the PNG's path.
 
     results: of `evaluation.evaluate` in `env`.  Trials come in the order of their scenes, at most
-    12 a suite, and carry the number that `fntg replay --scene` takes.
+    `most` a suite, and carry the number that `fntg replay --scene` takes.
     """
-    import matplotlib
-
-    rows = [max(1, -(-min(MOST, int(np.sum(~r.success))) // _COLUMNS)) for r in results]
-    with matplotlib.rc_context(plots.RC):
-        figure = plots.new_figure(2.9 * _COLUMNS, sum(2.25 * n + 0.5 for n in rows) + 0.4)
-        heights = [2.25 * n + 0.5 for n in rows]
-        parts = figure.subfigures(len(results), 1, height_ratios=heights, squeeze=False)[:, 0]
-        for part, num_rows, result in zip(parts, rows, results):
-            panels = part.subplots(num_rows, _COLUMNS, squeeze=False).ravel()
-            for axes in panels:
-                axes.set_axis_off()
-            failed = np.flatnonzero(~result.success)[:MOST]
-            part.suptitle(_summary(result), fontsize=10, x=0.01, ha="left")
-            if len(failed) == 0:
-                continue
-            trials = _trajectories(controller, env, result.scenes, failed)
-            for axes, index, n in zip(panels, failed, range(len(failed))):
-                outcome = jax.tree.map(lambda x, i=index: x[i], result.outcome)
-                _draw(axes, world.field, jax.tree.map(lambda x, n=n: x[n], trials))
-                words = f"scene {index}: {', '.join(reasons(outcome))}"
-                axes.set_title(textwrap.fill(words, 46), fontsize=7, loc="left", pad=2)
-        figure.supxlabel(
-            "arrow: start; line: path of the robot, square: its end; star: ball (dotted: its way); "
-            "grey: obstacles when the robot was nearest to one (dotted: 0.145 m around); "
-            "cross: too near there",
-            fontsize=7,
-        )
+    chosen = [(r, np.flatnonzero(~r.success)[:most]) for r in results]
+    num = sum(len(failed) for _, failed in chosen)
+    # As many beside each other as leave the fewest places empty.
+    columns = min((4, 5, 3), key=lambda n: -num % n) if num > 5 else max(num, 1)
+    num_rows = -(-num // columns)
+    words = "\n".join(textwrap.fill(_summary(r, most), 37 * columns) for r in results)
+    height = 0.3 + 0.17 * len(words.splitlines())
+    figure = plots.new_figure(max(2.9 * columns, 5.8), 1.85 * num_rows + height + 0.4)
+    figure.suptitle(words, fontsize=9, x=0.01, ha="left")
+    if num_rows == 0:
+        return plots.save(figure, path)
+    panels = iter(figure.subplots(num_rows, columns, squeeze=False).ravel())
+    for result, failed in chosen:
+        if len(failed) == 0:
+            continue
+        trials = _trajectories(controller, env, result.scenes, failed)
+        for n, index in enumerate(failed):
+            axes = next(panels)
+            outcome = jax.tree.map(lambda x, i=index: x[i], result.outcome)
+            _draw(axes, world.field, jax.tree.map(lambda x, n=n: x[n], trials))
+            why = f"{result.suite} {index}: {', '.join(reasons(outcome))}"
+            axes.set_title(textwrap.fill(why, 46), fontsize=7, loc="left", pad=2)
+    for axes in panels:
+        axes.set_axis_off()
+    figure.supxlabel(
+        textwrap.fill(
+            "over each: suite, scene, why it failed. Arrow: start; line: path of the robot, "
+            "square: its end; star: ball (dotted: its way); grey: obstacles when the robot was "
+            "nearest to one (dotted: 0.145 m around); cross: too near there",
+            45 * columns,
+        ),
+        fontsize=7,
+    )
     return plots.save(figure, path)
 
 
-def _summary(result: Evaluation) -> str:
+def _summary(result: Evaluation, most: int = MOST) -> str:
     """How many failed in all, and by which part; a trial can fail by several."""
     failed = int(np.sum(~result.success))
     words = {"reach": "not reached", "safe": "too near or fallen", "stop": "not stopped"}
@@ -78,7 +88,7 @@ def _summary(result: Evaluation) -> str:
         f"{round((1 - result.rates[part].share) * result.num_scenes)} {word}"
         for part, word in words.items()
     ]
-    shown = f"; the first {MOST}" if failed > MOST else ""
+    shown = f"; the first {most}" if failed > most else ""
     return f"{result.suite}: {failed} of {result.num_scenes} failed ({', '.join(counts)}){shown}"
 
 

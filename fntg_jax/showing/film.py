@@ -8,6 +8,7 @@ import io
 import math
 import subprocess
 import tempfile
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -75,23 +76,30 @@ def shoot(
     ]
 
 
-def animation(shots: list[Shot], image_format: str) -> tuple[bytes, list[bytes]]:
-    """The shots side by side in real time, and key frames as PNG.  image_format: GIF or WEBP."""
+def animation(shots: list[Shot], image_format: str, width: int = 0) -> tuple[bytes, list[bytes]]:
+    """The shots side by side in real time, at their end how they went, and key frames as PNG.
+
+    image_format: GIF or WEBP.  width: of the whole picture, pixels, 0 for 400 of one shot and 320
+    of each of several.
+    """
     from PIL import Image, ImageDraw
 
     columns = math.ceil(math.sqrt(len(shots)))
-    width = 400 if columns == 1 else 320
+    width = width // columns or (400 if columns == 1 else 320)
     height = 3 * width // 4
     reels = [shot.draw(width, height) for shot in shots]
     length = max(map(len, reels))
     rows = math.ceil(len(shots) / columns)
     frames = []
-    for n in range(length):
+    for n in [*range(length), length - 1]:
+        last = len(frames) == length
         frame = Image.new("RGB", (columns * width, rows * height))
         for k, (shot, reel) in enumerate(zip(shots, reels)):
             corner = (k % columns * width, k // columns * height)
             frame.paste(Image.fromarray(reel[min(n, len(reel) - 1)]), corner)
             words = f"{shot.title[-30:]}  {shot.scene}  {n * shot.dt:.1f} s"
+            if last:
+                words += "\n" + textwrap.fill(shot.result, width // 7)
             place = (corner[0] + 6, corner[1] + 4)
             ImageDraw.Draw(frame).text(
                 place, words, fill="white", font_size=12, stroke_width=1, stroke_fill="black"

@@ -24,6 +24,7 @@ _OBSTACLES = (
     ("no obstacle near ($d_O$ = 0.9 m, behind)", 0.9, np.pi),
     (r"obstacle at 0.2 m, $\theta_O$ = +0.3 rad (left)", 0.2, 0.3),
 )
+_NEAR = 0.1  # m
 
 
 def memberships(controllers: list[tuple[str, Controller]], field: Any, path: str | Path) -> Path:
@@ -62,12 +63,16 @@ def memberships(controllers: list[tuple[str, Controller]], field: Any, path: str
 
 
 def surfaces(controllers: list[tuple[str, Controller]], field: Any, path: str | Path) -> Path:
-    """v and omega over (d_B, theta_B), without and with an obstacle; writes PNG and PDF."""
+    """v and omega over (d_B, theta_B), without and with an obstacle; writes PNG and PDF.
+
+    The axis of d_B is that of its logarithm from 0.1 m on: near the ball is where things happen.
+    """
     import matplotlib
 
     rows = [(quantity, obstacle) for quantity in (0, 1) for obstacle in _OBSTACLES]
     figure, axes = new_grid(4, len(controllers), 3.9 * len(controllers) + 0.8, 10.0)
-    d_ball = np.linspace(*labels.input_range("A", field), 121)
+    _, far = labels.input_range("A", field)
+    d_ball = np.concatenate([np.linspace(0, _NEAR, 61), np.geomspace(_NEAR, far, 91)[1:]])
     theta = np.linspace(-np.pi, np.pi, 121)
     grid = np.meshgrid(d_ball, theta)
     v_low = min(float(c.limits.v_min) for _, c in controllers)
@@ -88,6 +93,10 @@ def surfaces(controllers: list[tuple[str, Controller]], field: Any, path: str | 
                     panel.contour(d_ball, theta, z, levels, colors="black", linewidths=0.4)
                 panel.set_title(f"{title}\n{words}" if row == 0 else words, fontsize=8, loc="left")
                 panel.set_yticks([-np.pi, 0, np.pi], [r"$-\pi$", "0", r"$\pi$"])
+                panel.set_xscale("symlog", linthresh=_NEAR, linscale=0.8)
+                panel.set_xticks([0, 0.1, 0.2, 0.5, 1, 2], ["0", "0.1", "0.2", "0.5", "1", "2"])
+                panel.minorticks_off()
+                panel.set_xlim(0, far)
                 panel.grid(False)
             axes[row, 0].set_ylabel(r"$\theta_B$ (rad)")
             figure.colorbar(mesh, ax=axes[row], label=name)

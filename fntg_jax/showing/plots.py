@@ -84,11 +84,18 @@ def fitness_curves(
     """Fig. 5: best ("EC max") and average ("EC av") fitness by generation.
 
     history: best, mean [seed, generation].  Single runs as thin lines; with several seeds the
-    median and its 95 % bootstrap band.  refined: [seed, n] validated fitness in the course of the
-    refinement, which continues the figure.  strength: generations [n] and their champions' scores
-    against fixed opponents [seed, n], where fitness is relative.
+    median and its 95 % bootstrap band.  refined: [seed, n] fitness on validation scenes in the
+    course of the refinement, in a panel of its own: evolution's is on each generation's scenes.
+    strength: generations [n] and their champions' scores against fixed opponents [seed, n], where
+    fitness is relative.
     """
-    figure, axes = _new(5.2, 3.6)
+    with _style():
+        figure = new_figure(5.2 if refined is None else 7.8, 4.0)
+        axes, *beside = np.atleast_1d(
+            figure.subplots(
+                1, 1 if refined is None else 2, width_ratios=None if refined is None else (3, 2)
+            )
+        )
     seeds, generations = history.best.shape
     x = np.arange(1, generations + 1)
     for values, colour, label in (
@@ -104,22 +111,24 @@ def fitness_curves(
         axes.plot(x, median, color=colour, linewidth=1.8, label=f"{label}, median")
     if seeds > 1:
         note = f"{seeds} seeds (thin lines); band: 95 % bootstrap interval of the median"
-        axes.set_title(note, fontsize=9, loc="left")
+        figure.suptitle(note, fontsize=9, x=0.01, ha="left")
     if strength is not None:
         axes.plot(strength[0], strength[1].T, color=GREEN, alpha=0.3, linewidth=0.8)
         label = "champion against fixed opponents, held-out"
         axes.plot(strength[0], np.median(strength[1], axis=0), color=GREEN, label=label)
-    end = generations
     if refined is not None:
-        end = round(1.25 * generations)
-        along = np.linspace(generations, end, refined.shape[1])
-        axes.axvline(generations, color="0.5", linewidth=0.8, linestyle=":")
-        axes.plot(along, refined.T, color=GREEN, alpha=0.25 if seeds > 1 else 1, linewidth=0.8)
-        label = "refinement (validation scenes)"
-        axes.plot(along, np.median(refined, axis=0), color=GREEN, linewidth=1.8, label=label)
-    axes.set_xlabel("generation" if refined is None else "generation, then refinement")
+        (panel,) = beside
+        along = np.arange(refined.shape[1])
+        panel.plot(along, refined.T, color=GREEN, alpha=0.25 if seeds > 1 else 1, linewidth=0.8)
+        label = "refined"
+        panel.plot(along, np.median(refined, axis=0), color=GREEN, linewidth=1.8, label=label)
+        panel.set_title("refinement", fontsize=9, loc="left")
+        panel.set_xlabel("validations")
+        panel.set_ylabel("fitness $F$ on validation scenes")
+        panel.set_xlim(0, max(refined.shape[1] - 1, 1))
+    axes.set_xlabel("generation")
     axes.set_ylabel("fitness $F$")
-    axes.set_xlim(0, end)
+    axes.set_xlim(0, generations)
     if strength is not None:
         axes.set_ylim(0, 1)
     elif seeds == 1:
@@ -128,7 +137,7 @@ def fitness_curves(
         axes.set_yscale("log")  # single runs differ by factors: on a linear axis one hides all
         axes.set_ylim(bottom=max(0.01, np.percentile(history.mean, 1)))
         axes.yaxis.set_major_formatter("{x:g}")
-    axes.legend(loc="lower right")
+    figure.legend(loc="outside lower center", ncols=3, fontsize=9, frameon=False)
     return save(figure, path)
 
 
@@ -172,9 +181,9 @@ def draw_path(axes, robot: np.ndarray, colour: str) -> None:
         "",
         (x + 0.16 * np.cos(heading), y + 0.16 * np.sin(heading)),
         (x, y),
-        arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.4},
+        arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.4, "shrinkA": 0},
     )
-    axes.plot(x, y, "o", color=colour, markersize=5)
+    axes.plot(x, y, "o", color=colour, markerfacecolor="white", markersize=4, zorder=4)
     axes.plot(robot[-1, 0], robot[-1, 1], "s", color=colour, markersize=4)
 
 
@@ -182,7 +191,39 @@ def draw_ball(axes, ball: np.ndarray) -> None:
     """The ball [N, (x, y)] where it ends up, an asterisk as in the paper, and its way there."""
     if len(np.unique(ball, axis=0)) > 1:
         axes.plot(ball[:, 0], ball[:, 1], color="black", linestyle=":", linewidth=0.8)
-    axes.plot(*ball[-1], "*", color="black", markersize=11, zorder=5)
+    axes.plot(
+        *ball[-1],
+        "*",
+        color=RED,
+        markeredgecolor="black",
+        markeredgewidth=0.5,
+        markersize=11,
+        zorder=5,
+    )
+
+
+def explain(figure: Any) -> None:
+    """What the marks of `draw_path`, `draw_ball` and `draw_discs` mean, below the panels."""
+    from matplotlib.lines import Line2D
+
+    styles: dict[str, dict[str, Any]] = {
+        "start, arrow: heading": {"marker": "o", "markerfacecolor": "white", "markersize": 4},
+        "path, and its end": {"marker": "s", "markersize": 4, "linestyle": "-"},
+        "ball": {"marker": "*", "color": RED, "markersize": 10, "markeredgecolor": "black"},
+        "obstacle": {"marker": "o", "color": "0.45", "markersize": 10},
+        "0.145 m around it": {"color": "0.45", "linestyle": ":"},
+    }
+    usual = {"color": "0.3", "linestyle": "", "markeredgewidth": 0.5}
+    figure.legend(
+        [Line2D([], [], **(usual | style)) for style in styles.values()],
+        list(styles),
+        loc="outside lower center",
+        ncols=5,
+        frameon=False,
+        fontsize=8,
+        handletextpad=0.4,
+        columnspacing=1.2,
+    )
 
 
 def trajectories(trials: Any, field: Any, path: str | Path, title: str = "") -> Path:
@@ -195,6 +236,7 @@ def trajectories(trials: Any, field: Any, path: str | Path, title: str = "") -> 
         draw_path(axes, robot, COLOURS[n % len(COLOURS)])
         draw_ball(axes, np.asarray(trials.snapshot.ball)[n])
     axes.set_title(title, fontsize=9, loc="left")
+    explain(figure)
     return save(figure, path)
 
 

@@ -8,6 +8,7 @@ import html
 import io
 import math
 import re
+import textwrap
 from functools import partial
 from importlib import resources
 from typing import Any
@@ -222,8 +223,11 @@ SPEED = 4  # an animated picture runs this many times as fast as the robot
 _STRIDE = 2  # every second control step is a frame
 
 
-def animation(panels: list[dict[str, Any]], image_format: str) -> bytes:
-    """The panels as an animated picture; image_format: GIF or WEBP."""
+def animation(panels: list[dict[str, Any]], image_format: str, width: int = 0) -> bytes:
+    """The panels as an animated picture, which ends with how the trials went.
+
+    image_format: GIF or WEBP.  width: pixels, 0 for 420 a column.
+    """
     from PIL import Image
 
     from fntg_jax.showing import plots
@@ -236,20 +240,38 @@ def animation(panels: list[dict[str, Any]], image_format: str) -> bytes:
         axis.set_axis_off()
     dt = min(panel["dt"] for panel in panels)
     end = max(panel["dt"] * (len(panel["robot"]) - 1) for panel in panels)
-    figure.set_dpi(100)
+    figure.set_dpi(100 if width == 0 else width / (4.2 * columns))
     figure.canvas.draw()
     figure.set_layout_engine("none")  # or every frame is laid out anew, ten times slower
     frames = []
-    for time in np.arange(0, end + dt / 2, dt * _STRIDE):
+    for time in [*np.arange(0, end + dt / 2, dt * _STRIDE), None]:
         for view in views:
-            view.show(time)
+            view.conclude() if time is None else view.show(time)
         figure.canvas.draw()
         frames.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()))
     return encode(frames, dt * _STRIDE / SPEED, image_format)
 
 
+MOST_FILM_BYTES = 3_000_000
+
+
 def encode(frames: list[Any], dt: float, image_format: str) -> bytes:
-    """PIL pictures as an endless animation, dt seconds each; image_format: GIF or WEBP."""
+    """PIL pictures as an endless animation, dt seconds each, the last one two seconds.
+
+    image_format: GIF or WEBP.  What would be over 3 MB has fewer pictures a second, and where that
+    does not do smaller ones.
+    """
+    for stride, scale in ((1, 1.0), (2, 1.0), (3, 1.0), (3, 0.75), (4, 0.5), (6, 0.35)):
+        data = _encoded([*frames[:-1:stride], frames[-1]], dt * stride, image_format, scale)
+        if len(data) <= MOST_FILM_BYTES:
+            break
+    return data
+
+
+def _encoded(frames: list[Any], dt: float, image_format: str, scale: float) -> bytes:
+    if scale < 1:
+        size = tuple(round(scale * side) for side in frames[0].size)
+        frames = [frame.resize(size) for frame in frames]
     if image_format == "GIF":
         frames = [frame.quantize(64) for frame in frames]
     out = io.BytesIO()
@@ -258,7 +280,7 @@ def encode(frames: list[Any], dt: float, image_format: str) -> bytes:
         format=image_format,
         save_all=True,
         append_images=frames[1:],
-        duration=round(1000 * dt),
+        duration=[round(1000 * dt)] * (len(frames) - 1) + [2000],
         loop=0,
     )
     return out.getvalue()
@@ -294,7 +316,13 @@ class _View:
         axes.set(xlim=(-reach - 0.05, reach + 0.05), ylim=(-half - 0.35, half + 0.05))
         axes.plot([reach - 0.5, reach], [-half - 0.1] * 2, color="0.3", linewidth=2)
         axes.text(reach - 0.25, -half - 0.3, "0.5 m", fontsize=8, ha="center")
-        self.words = axes.text(-reach, -half - 0.3, "", fontsize=8)
+        self.words = axes.text(-reach, -half - 0.34, "", fontsize=8, va="bottom")
+
+    def conclude(self) -> None:
+        """How it went, instead of the numbers of a step."""
+        result = self.panel["result"]
+        self.words.set_text(textwrap.fill(result, 52))
+        self.words.set_color("#006b4f" if result.startswith("success") else "#a03c00")
 
     def show(self, time: float) -> None:
         step = min(round(time / self.panel["dt"]), len(self.robots) - 1)
