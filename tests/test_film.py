@@ -74,7 +74,7 @@ def test_pictures_side_by_side_in_real_time(image_format):
     shots = film.shoot("one", random_controller(seed=3), WORLD, "open", (0, 1))
     data, keys = film.animation(shots, image_format)
     image = Image.open(io.BytesIO(data))
-    assert (image.format, image.size, image.n_frames) == (image_format, (640, 240), 12)
+    assert (image.format, image.size, image.n_frames) == (image_format, (640, 240), 13)
     image.seek(6)
     image.load()
     assert image.info["duration"] == 50

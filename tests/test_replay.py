@@ -213,11 +213,27 @@ def test_the_page_is_a_place_to_play(tmp_path):
 @pytest.mark.parametrize("image_format", ["GIF", "WEBP"])
 def test_animation(panels, image_format):
     short = [{**p, "robot": p["robot"][:9], "obstacles": p["obstacles"][:9]} for p in panels]
-    image = Image.open(io.BytesIO(replay.animation(short, image_format)))
-    assert (image.format, image.n_frames) == (image_format, 5)
+    image = Image.open(io.BytesIO(replay.animation(short, image_format, width=500)))
+    assert (image.format, image.n_frames) == (image_format, 6)
+    assert abs(image.size[0] - 500) <= 1
     first = np.asarray(image.convert("RGB"), int)
     image.seek(4)
-    assert np.abs(np.asarray(image.convert("RGB"), int) - first).max() > 50  # something moved
+    moved = np.asarray(image.convert("RGB"), int)
+    assert np.abs(moved - first).max() > 50
+    image.seek(5)  # the same place, with the result in words
+    differs = np.abs(np.asarray(image.convert("RGB"), int) - moved).max(axis=(1, 2)) > 50
+    low = int(0.8 * image.size[1])
+    assert differs[low:].mean() > 0.3 > 0.1 > differs[:low].mean()
+
+
+@pytest.mark.slow
+def test_no_film_is_over_3_mb():
+    noise = np.random.default_rng(0).integers(0, 255, (60, 300, 400, 3), np.uint8)
+    data = replay.encode([Image.fromarray(x) for x in noise], 0.1, "GIF")
+    assert len(data) <= replay.MOST_FILM_BYTES
+    image = Image.open(io.BytesIO(data))
+    image.seek(image.n_frames - 1)
+    assert image.info["duration"] == 2000
 
 
 @pytest.fixture
