@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jaxtyping import Array, Bool, Float, Int
 
 Scalar = Float[Array, ""] | float
 
@@ -164,14 +164,15 @@ class Action(NamedTuple):
 
     walk: see `Walk`.  head: tilt, pan, roll wanted, rad.  kick: 0 for none, else 1 + index into the
     body's table of kicks.  posture: 0 for none, else 1 + index into the body's table of postures.
-    say: the 64 bits of an acoustic message as two uint32, both 0 for silence.
+    say: the 64 bits of an acoustic message as two uint32, both 0 for silence (at the audio level
+    3200 samples at 8 kHz of what a robot begins to say, -1 to 1, instead).
     """
 
     walk: Walk
     head: Float[Array, "3"]
     kick: Int[Array, ""] | int
     posture: Int[Array, ""] | int
-    say: UInt32[Array, "2"]
+    say: Any
 
 
 class Frame(NamedTuple):
@@ -205,7 +206,7 @@ class Senses(NamedTuple):
     proximity: Scalar
     gyro: Float[Array, "3"]
     acceleration: Float[Array, "3"]
-    heard: UInt32[Array, "N 2"]
+    heard: Any
     heard_valid: Bool[Array, " N"]
     signal: Int[Array, ""]
 

@@ -183,7 +183,7 @@ def judge(options: Options) -> dict[str, Any]:
     @jax.jit
     def see(pictures, heads):
         def one(picture, head):
-            s = vision.see(picture, table, vision.Team(), FIELD)
+            s = vision.see(picture, table, vision.Team(), vision.bands(FIELD))
             seen = sight.locate(s.frame, head, sizes)
             return s.frame.visible, s.frame.bearing, s.confidence, seen.distance
 

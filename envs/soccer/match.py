@@ -25,7 +25,7 @@ from envs.field import FIELD, bearing
 from envs.soccer import ball as balls
 from envs.soccer import bodies as walking
 from envs.soccer import camera as seeing
-from envs.soccer import feel, noise, referee, sound, tables
+from envs.soccer import feel, noise, pictures, referee, sound, tables, voices
 from envs.soccer.state import (
     CALLS,
     FINISHED,
@@ -40,7 +40,7 @@ from envs.soccer.state import (
     upright,
 )
 
-CAMERAS, SOUNDS = ("objects", "perfect"), ("symbols", "none")
+CAMERAS, SOUNDS = ("objects", "image", "perfect"), ("symbols", "audio", "none")
 # A ball of 3 m/s moves 10 cm in one and a dog 1 cm, together less than the 11.8 cm from a body's
 # surface to its axis, ball included: it is then still on the side from which it came.
 SUB_STEPS = 3
@@ -75,10 +75,11 @@ class Match:
     """A kind of match.
 
     players: robots a side, 1 to 5.  home, away: bodies, shipped ("ers210", "wheels") or a file.
-    camera: "objects" (noise, misses, occlusion) or "perfect" (truth).  sound: "symbols" or "none".
-    minutes: of a half; 0 for the rules' 10.  noise: factor on the camera's errors and misses.
-    hearing: m, where half of the messages are lost; 0 as measured.  Raises ValueError naming field,
-    value, what is allowed.
+    camera: "objects" (noise, misses, occlusion), "image" (pixels) or "perfect" (truth).  sound:
+    "symbols", "audio" (samples) or "none".
+    minutes: of a half; 0 for the rules' 10.  noise: factor on the camera's errors and misses at the
+    objects level.  hearing: m, where half of the messages are lost as symbols; 0 as measured.
+    Raises ValueError naming field, value, what is allowed.
     """
 
     players: int = 3
@@ -109,6 +110,8 @@ class Match:
             raise ValueError(f"hearing = {self.hearing}: allowed are 0 to 100 m")
         if not 0.01 <= self.dt <= 0.2:
             raise ValueError(f"dt = {self.dt}: allowed are 0.01 to 0.2 s")
+        if self.sound == "audio" and self.dt != 0.1:
+            raise ValueError(f"dt = {self.dt}: with sound = 'audio' allowed is 0.1 s")
         _ = self.bodies, self.rules  # read and checked now
 
     @cached_property
@@ -149,6 +152,11 @@ class Match:
     def robots(self) -> int:
         """R, of both teams."""
         return 2 * self.players
+
+    @property
+    def vivid(self) -> bool:
+        """Pixels or samples are computed: a match at a time is then the best that a CPU can do."""
+        return self.camera == "image" or self.sound == "audio"
 
     @property
     def half_steps(self) -> int:
@@ -212,7 +220,8 @@ class Match:
         )
         counts = jnp.zeros((2, *shape), jnp.int32)
         statistics = Statistics(*(counts for _ in Statistics._fields))
-        return State(robots, rolling, sound.silence(robots), game, statistics)
+        talk = voices.silence(robots, game) if self.sound == "audio" else sound.silence(robots)
+        return State(robots, rolling, talk, game, statistics)
 
     def step(self, state: State, action: Action) -> State:
         """0.1 s of play: bodies, ball in sub-steps, sound, referee.  action: leaves [R, ...]."""
@@ -315,7 +324,9 @@ class Match:
             touching=(touching | kicked.by) & may,
         )
         talk = state.talk
-        if self.sound != "none":
+        if self.sound == "audio":
+            talk = voices.speak(talk, robots, action, may, game)
+        elif self.sound != "none":
             talk = sound.speak(talk, robots, action, may, self.air, key, dt)
         robots, ball, new_game, statistics = referee.judge(
             self.rules,
@@ -362,11 +373,19 @@ class Match:
         key = noise.key(game.seed, game.tick, robots.lane ^ jnp.uint32(0x10000))
         lane_key = noise.key(game.seed, jnp.full_like(game.tick, -1), robots.lane)
         height = self.bodies.value("height", robots.x)
-        words, whole = sound.heard(state.talk)
-        return Senses(
-            frame=seeing.look(
+        if self.sound == "audio":
+            heard = state.talk.samples
+            whole = jnp.zeros((self.players, *robots.x.shape), bool)
+        else:
+            heard, whole = sound.heard(state.talk)
+        if self.camera == "image":
+            frame = pictures.look(state, self.field, self.lens, self.head, key, lane_key)
+        else:
+            frame = seeing.look(
                 state, self.field, self.lens, self.head, self.sights, height, key, perfect
-            ),
+            )
+        return Senses(
+            frame=frame,
             head=jnp.stack([robots.tilt, robots.pan, robots.roll]),
             displacement=feel.displacement(state),
             proximity=feel.proximity(
@@ -374,7 +393,7 @@ class Match:
             ),
             gyro=feel.gyro(state, self.feelings, key, lane_key, self.dt, perfect),
             acceleration=feel.acceleration(state, self.feelings, key, self.dt, perfect),
-            heard=words,
+            heard=heard,
             heard_valid=whole,
             signal=referee.signal(robots, game),
         )

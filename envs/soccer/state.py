@@ -5,7 +5,7 @@ adds its axis *last*: [R, B], [B].  All functions of this package take either, b
 index the leading axis.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
@@ -144,7 +144,7 @@ class State(NamedTuple):
 
     robots: Robots
     ball: RollingBall
-    talk: Talk
+    talk: Any  # `Talk`, at the audio level `envs.soccer.voices.Voices`
     game: Game
     statistics: Statistics
 

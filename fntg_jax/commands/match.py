@@ -28,9 +28,9 @@ class MatchOptions:
     players: int = 3
     """robots a side, 1 to 5."""
     camera: str = "objects"
-    """what robots see: objects, or perfect (the truth)."""
+    """what robots see: objects, image (pixels), or perfect (the truth)."""
     sound: str = "symbols"
-    """how they talk: symbols, or none."""
+    """how they talk: symbols, audio (samples), or none."""
     home_body: str = "ers210"
     """body of the home team: ers210, wheels or a table of your own (.json)."""
     away_body: str = "ers210"

@@ -96,9 +96,9 @@ def play(
     """
     num = seeds.shape[0]
     most = _BLOCK if jax.default_backend() == "cpu" else _BLOCK_ELSEWHERE
-    blocks = -(-num // most)
-    # Whole registers.
-    size = -(-num // (16 * blocks)) * 16 if num > 1 else 1
+    # Whole registers; pixels and samples fill them by themselves.
+    size = -(-num // (16 * -(-num // most))) * 16 if num > 1 else 1
+    size = 1 if _alone(match) else size
     steps = match.steps if num_steps is None else num_steps
     like = jax.eval_shape(lambda: match.reset(0, 0)).statistics
 
@@ -138,6 +138,10 @@ def play(
 def num_blocks(num: int) -> int:
     """Into how many blocks `num` matches are cut: as many devices can share them."""
     return -(-num // (_BLOCK if jax.default_backend() == "cpu" else _BLOCK_ELSEWHERE))
+
+
+def _alone(match: Any) -> bool:
+    return getattr(match, "vivid", False) and jax.default_backend() == "cpu"
 
 
 def _last_state(match, home, away, seeds, steps, each, watch):
@@ -199,6 +203,12 @@ def decide(match: Any, home: Side, away: Side, carry: Any, each: tuple[bool, boo
         )
         after.append(memory)
         actions.append(action)
+    # Where robots say sounds, a team that knows words only is silent.
+    longest = max((action.say for action in actions), key=len)
+    actions = [
+        action if len(action.say) == len(longest) else action._replace(say=0 * longest)
+        for action in actions
+    ]
     shape = state.robots.x.shape[1:]
     return tuple(after), jax.tree.map(lambda a, b: _joined(a, b, match, shape), *actions)
 

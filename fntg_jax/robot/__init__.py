@@ -11,19 +11,22 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jaxtyping import Array, Bool, Float, Int
 
 from envs.base import SIGNALS, Action, Senses
 from fntg_jax.robot import (
     behaviors,
     communication,
+    ear,
     gaze,
     local_map,
     localization,
     locomotion,
     planner,
     sight,
+    vision,
 )
+from fntg_jax.robot.colours import Colours
 from fntg_jax.robot.genes import Genes
 from fntg_jax.robot.geometry import angle, unit
 from fntg_jax.robot.messages import Heard, LocalMap, Order
@@ -44,7 +47,8 @@ class Team(NamedTuple):
     (v, omega); under jit a pytree such as `jax.tree_util.Partial`.  speeds, kicks, get_up: the
     body's tables (get_up, spread: postures, 1 + index).  map: of the landmarks, in the team's frame
     (x from the own goal).  sizes: what Vision knows of the objects.  goalkeeper: whether
-    shirt 0 is one.
+    shirt 0 is one.  table, bands: of Vision, where the camera gives pictures; else None.  voice:
+    the band that it speaks and listens in, where sounds are samples; else None.
     """
 
     genes: Genes
@@ -58,6 +62,9 @@ class Team(NamedTuple):
     sizes: sight.Sizes
     goalkeeper: Bool[Array, ""]
     places: Float[Array, "2 N 2"]
+    table: Colours | None = None
+    bands: Int[Array, "6 2"] | None = None
+    voice: Int[Array, ""] | None = None
 
 
 class Memory(NamedTuple):
@@ -80,6 +87,7 @@ class Memory(NamedTuple):
     heard: Heard
     gaze: gaze.Gaze
     head: Float[Array, "3"]
+    hearing: ear.Ear | None = None
 
 
 def begin(team: Team, shirt: Int[Array, ""], pose: Float[Array, "3"]) -> Memory:
@@ -101,6 +109,7 @@ def begin(team: Team, shirt: Int[Array, ""], pose: Float[Array, "3"]) -> Memory:
         heard=communication.nothing_heard(),
         gaze=gaze.begin(),
         head=jnp.zeros(3, jnp.float32),
+        hearing=None if team.voice is None else ear.silent(),
     )
 
 
@@ -122,7 +131,10 @@ def control(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, Action]
 def perceive(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, planner.Facts]:
     """Vision, Localization, Communication, and what the Planner's decision rests on."""
     # Vision: what is seen, in the robot's frame.
-    seen = sight.locate(senses.frame, senses.head, team.sizes)
+    frame = senses.frame
+    if team.table is not None:
+        frame = vision.see(frame, team.table, vision.Team(), team.bands).frame
+    seen = sight.locate(frame, senses.head, team.sizes)
     # Locomotion's estimate of the way since the last step.
     way = locomotion.displacement(senses, DT)
     turn = unit(way.turn)
@@ -140,7 +152,11 @@ def perceive(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, planne
     belief = jax.tree.map(lambda a, b: jnp.where(begins, a, b), put, belief)
     pose = localization.pose(belief)
     # Communication: words of the teammates.
-    heard = communication.merge(memory.heard, senses.heard, senses.heard_valid, memory.shirt, DT)
+    words, whole, listening = senses.heard, senses.heard_valid, memory.hearing
+    if listening is not None:
+        # The samples are those of the step before.
+        listening, words, whole = ear.listen(listening, words, team.voice, memory.step - 1)
+    heard = communication.merge(memory.heard, words, whole, memory.shirt, DT)
     # Planner: local map and facts.
     around = local_map.moved(memory.map, way, turn, DT)
     around = local_map.placed(around, pose, begins)
@@ -168,6 +184,7 @@ def perceive(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, planne
         belief=belief,
         map=around,
         heard=heard,
+        hearing=listening,
     ), facts
 
 
@@ -201,7 +218,9 @@ def carry_out(
         ball_age=jnp.where(facts.known, around.age[0], jnp.inf),
     )
     speaks = communication.turn(memory.shirt, memory.step)
-    say: UInt32[Array, 2] = jnp.where(speaks, communication.pack(word), jnp.uint32(0))
+    say = jnp.where(speaks, communication.pack(word), jnp.uint32(0))
+    if team.voice is not None:
+        say = ear.say(say, team.voice)
     # The ball will have gone before the head, which a kick holds still, sees it again.
     around = local_map.kicked(around, motion.kick, team.kicks.direction, team.kicks.speed)
     return memory._replace(

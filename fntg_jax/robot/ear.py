@@ -1,5 +1,7 @@
-"""The robot's ear at the audio level: what its microphones hear in control steps of 0.1 s, kept
-for half a second, and decoded at the end of every slot."""
+"""The robot's ear and voice at the audio level.
+
+Its microphones are heard in control steps of 0.1 s, kept for half a second, and decoded at the end
+of every slot."""
 
 from typing import NamedTuple
 
@@ -11,6 +13,7 @@ from fntg_jax.robot import acoustics
 from fntg_jax.robot.communication import SLOT, TEAM, unpack
 
 KEPT = 4000  # samples: a slot of 0.4 s and one step
+SAID = 3200  # samples of `envs.base.Action.say`, a slot
 
 
 class Ear(NamedTuple):
@@ -31,10 +34,31 @@ def listen(
 ) -> tuple[Ear, UInt32[Array, "R 2"], Bool[Array, " R"]]:
     """Take in one step's samples (8 kHz); after a slot's last, decode.
 
-    team: 0 or 1, whose band.  step: control steps since the kick-off; where it is the same for all
-    robots of a vmap (in_axes None), nothing is computed within slots.  Returns what
+    team: 0 or 1, whose band.  step: control steps from the kick-off to the one of the samples; on a
+    CPU nothing is computed within slots.  Returns what
     `communication.merge` takes: words by shirt, and which of them were heard now.
     """
+    # Under `vmap` one robot after the other, as a `cond` of many would compute both of its sides.
+    one = jax.custom_batching.sequential_vmap(_listen) if _on_cpu() else _listen
+    return one(ear, samples, team, step)
+
+
+def say(words: UInt32[Array, "2"], team: Int[Array, ""] | int) -> Float[Array, "3200"]:
+    """A word as `envs.base.Action.say` at the audio level; silence for both words 0."""
+    one = jax.custom_batching.sequential_vmap(_say) if _on_cpu() else _say
+    return one(words, jnp.asarray(team))
+
+
+def _say(words, team):
+    sound = lambda: jnp.pad(acoustics.encode(words, team), (0, SAID - acoustics.FRAME))  # noqa: E731
+    return jax.lax.cond((words != 0).any(), sound, lambda: jnp.zeros(SAID))
+
+
+def _on_cpu() -> bool:
+    return jax.default_backend() == "cpu"
+
+
+def _listen(ear, samples, team, step):
     sound = jnp.concatenate([ear.sound, samples], -1)[:, -KEPT:]
 
     def decode(sound: Array) -> tuple[Array, Array]:

@@ -93,29 +93,35 @@ def largest(b: Blobs, colour: Int[Array, ""] | int, number: int) -> list[Blobs]:
     return found
 
 
+def bands(field: Field) -> Int[Array, "6 2"]:
+    """Classes of the lower and the upper band of a map's landmarks."""
+    index = colours.CLASSES.index
+    return jnp.asarray([(index(mark.lower), index(mark.upper)) for mark in field.landmarks])
+
+
 def see(
     picture: UInt8[Array, "H W 3"],
     table: Colours,
     team: Team,
-    field: Field,
+    marks: Int[Array, "6 2"],
     camera: Camera = Camera(),
 ) -> Sight:
     """All objects of a picture.
 
-    field: the map, for the colours of the landmarks; table: see `colours.load`.  A picture of more
+    table: see `colours.load`; marks: see `bands`.  A picture of more
     patches than a field can have shows nothing.
     """
 
-    def one(picture: Array, table: Colours, team: Team) -> Sight:
-        return _see(picture, table, team, field, camera)
+    def one(picture: Array, table: Colours, team: Team, marks: Array) -> Sight:
+        return _see(picture, table, team, marks, camera)
 
     if jax.default_backend() == "cpu":
         # One picture after the other under `vmap`: each then stays in the cache.
         one = jax.custom_batching.sequential_vmap(one)
-    return one(picture, table, team)
+    return one(picture, table, team, marks)
 
 
-def _see(picture, table: Colours, team: Team, field: Field, camera: Camera) -> Sight:
+def _see(picture, table: Colours, team: Team, marks: Array, camera: Camera) -> Sight:
     height, width, _ = picture.shape
     at = colours.cell(picture)
     # Looked up once, and not anew wherever a class is asked for.
@@ -167,10 +173,9 @@ def _see(picture, table: Colours, team: Team, field: Field, camera: Camera) -> S
     fit &= jnp.maximum(p.size, b.size) < 2.2 * jnp.minimum(p.size, b.size)
     quality = jnp.where(fit, jnp.minimum(p.sure, b.sure), 0.0)
     band = jnp.zeros(b.size.shape, bool)
-    for mark in field.landmarks:
-        upper = colours.CLASSES.index(mark.upper) == colours.PINK
-        other = colours.CLASSES.index(mark.lower if upper else mark.upper)
-        above = (b.y - p.y) if upper else (p.y - b.y)
+    for lower, upper in marks:
+        other = jnp.where(upper == colours.PINK, lower, upper)
+        above = jnp.where(upper == colours.PINK, b.y - p.y, p.y - b.y)
         good = jnp.where((b.colour == other) & (above > 0.75 * gap), quality, 0.0)
         best = jnp.argmax(good)
         i, j = best // good.shape[1], best % good.shape[1]

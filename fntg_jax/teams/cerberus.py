@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from fntg_jax import robot
 from fntg_jax.controller.controller import Controller
 from fntg_jax.learning.play import Belief, Side, Words
-from fntg_jax.robot import behaviors, planner, sight
+from fntg_jax.robot import behaviors, colours, planner, sight, vision
 from fntg_jax.robot.genes import Genes
 from fntg_jax.robot.geometry import angle
 from fntg_jax.teams import team_file
@@ -58,6 +58,9 @@ def of(
             field.ball_radius, field.landmark_foot, field.landmark_band, field.goal_height
         ),
         goalkeeper=jnp.asarray(goalkeeper),
+        table=colours.load("ers210") if match.camera == "image" else None,
+        bands=vision.bands(field) if match.camera == "image" else None,
+        voice=jnp.int32(side) if match.sound == "audio" else None,
         places=jnp.asarray([match.rules.kickoff_own, match.rules.kickoff_theirs], jnp.float32),
     )
 

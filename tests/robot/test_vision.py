@@ -39,7 +39,9 @@ def test_objects_of_a_rendered_picture():
     pose, head = jnp.array([0.0, 0.1, 0.2]), jnp.array([-0.1, 0.0, 0.0])
     eye = image.eye(pose, head)
     picture = image.render(scene, eye, image.Light(blur=0.12, noise=3.0))
-    sight = jax.jit(lambda p: vision.see(p, colours.load("ers210"), vision.Team(), FIELD))(picture)
+    sight = jax.jit(
+        lambda p: vision.see(p, colours.load("ers210"), vision.Team(), vision.bands(FIELD))
+    )(picture)
     mark = FIELD.landmarks[0]
     for k, place, size in ((0, ball, 0.084), (1, (mark.x, mark.y, 0.3), 0.2)):
         ahead, left, up = eye.axes @ (jnp.array(place) - eye.place)
