@@ -365,3 +365,30 @@ def check_options(options: dict[str, float], known: Mapping[str, tuple[float, fl
         low, high = known[name]
         if not low <= value <= high:
             raise ValueError(f"env option {name} = {value}: allowed are {low} to {high}")
+
+
+# arctan(t) = t P(t^2) on [0, 1], minimax fit.
+_ARCTAN = (
+    0.999999336,
+    -0.333298608,
+    0.199465656,
+    -0.139086292,
+    0.0964219645,
+    -0.0559123151,
+    0.02186295,
+    -0.0040545651,
+)
+
+
+def arctan(t: Scalar) -> Scalar:
+    """Arctangent in rad as a polynomial, which XLA vectorises on a CPU (`jnp.arctan2` it does not);
+    error below 3.8e-8 rad, and the rounding of float32.
+
+    Args:
+        t: in [0, 1], of any shape.
+    """
+    square = t * t
+    value = square * _ARCTAN[-1] + _ARCTAN[-2]
+    for coefficient in _ARCTAN[-3::-1]:
+        value = value * square + coefficient
+    return value * t

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from envs.base import Field, Landmark, Scalar
+from envs.base import Field, Landmark, Scalar, arctan
 
 # The Sony legged league's field of 2001.  Size, goals and landmarks: paper, Introduction;
 # Gutmann and Fox 2002.  Pink is above where y > 0; the other colour is the near goal's, green in
@@ -52,19 +52,6 @@ class Ball(NamedTuple):
     vy: Scalar | None = None
 
 
-# atan(t) = t P(t^2) on [0, 1], minimax fit; largest error 3.8e-8 rad.
-_ATAN = (
-    0.999999336,
-    -0.333298608,
-    0.199465656,
-    -0.139086292,
-    0.0964219645,
-    -0.0559123151,
-    0.02186295,
-    -0.0040545651,
-)
-
-
 @jax.custom_jvp
 def bearing(x: Scalar, y: Scalar) -> Scalar:
     """Direction of the vector (x, y) in radians, counter-clockwise from x, in [-pi, pi].
@@ -77,12 +64,7 @@ def bearing(x: Scalar, y: Scalar) -> Scalar:
         return jnp.arctan2(y, x)
     ax, ay = jnp.abs(x), jnp.abs(y)
     big = jnp.maximum(jnp.maximum(ax, ay), jnp.float32(1e-30))
-    t = jnp.minimum(ax, ay) / big
-    s = t * t
-    p = jnp.float32(_ATAN[-1])
-    for c in _ATAN[-2::-1]:
-        p = p * s + jnp.float32(c)
-    angle = p * t
+    angle = arctan(jnp.minimum(ax, ay) / big)
     angle = jnp.where(ay > ax, jnp.float32(math.pi / 2) - angle, angle)
     angle = jnp.where(x < 0, jnp.float32(math.pi) - angle, angle)
     return jnp.where(y < 0, -angle, angle)

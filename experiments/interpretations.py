@@ -105,13 +105,13 @@ class Reading(NamedTuple):
     name: str
     layout: str = "paper-31"
     output: network.Output = "scale"
-    env: dict[str, float] = {}  # noqa: RUF012  # never written to
+    env: tuple[tuple[str, float], ...] = ()  # options of the world
     wrap: Callable[[Any], Any] = lambda env: env
     ga: GAConfig = GAConfig()
     fitness_fn: Callable[[Any], Any] = paper_fitness
 
 
-BACKWARD = {"v_min": -0.2}
+BACKWARD = (("v_min", -0.2),)
 READINGS = (
     Reading("default"),
     *(
@@ -133,8 +133,8 @@ READINGS = (
     ),
     Reading("crossover-0.8", ga=GAConfig(crossover_rate=0.8)),
     Reading("crossover-0.6", ga=GAConfig(crossover_rate=0.6)),
-    Reading("dt-0.05-s", env={"dt": 0.05}),
-    Reading("dt-0.2-s", env={"dt": 0.2}),
+    Reading("dt-0.05-s", env=(("dt", 0.05),)),
+    Reading("dt-0.2-s", env=(("dt", 0.2),)),
 )
 
 
@@ -157,7 +157,7 @@ class Result(NamedTuple):
 def learn(reading: Reading, options: Options, world: Any) -> Result:
     """The paper's learning run of every seed, then the best genome of each on unseen scenes."""
     layout = get_layout(reading.layout)
-    env = reading.wrap(world.make(**reading.env))
+    env = reading.wrap(world.make(**dict(reading.env)))
     starts = world.suites["paper"](jax.random.key(0), 4)
     held_out = [evaluation.held_out_scenes(world, s, options.eval_scenes) for s in SUITES]
     config = reading.ga

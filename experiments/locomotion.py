@@ -169,10 +169,10 @@ def _main(config: Config) -> None:
     script.check_files(config, "csv", "out")
     script.check_least(config, num=1, seed=0)
     xla.configure()
-    from envs.quadruped.environment import Quadruped
+    from envs.quadruped.environment import standing
     from envs.quadruped.locomotion import DEFAULT_GAIT, load_gait
 
-    env = Quadruped(gait=load_gait(config.gait or DEFAULT_GAIT))
+    env = standing(load_gait(config.gait or DEFAULT_GAIT))
     if config.what == "kicks":
         document = {
             "format": "fntg-kicks",

@@ -59,12 +59,12 @@ def _main(config: Config) -> None:
     script.check_files(config, "out")
     xla.configure()
     from envs.quadruped import measure, styles
-    from envs.quadruped.environment import Quadruped
+    from envs.quadruped.environment import standing
     from envs.quadruped.locomotion import DEFAULT_GAIT, load_gait
 
     path = config.gait or DEFAULT_GAIT
     gait = load_gait(path)
-    env = Quadruped(gait=gait)
+    env = standing(gait)
     if config.what == "calibrate":
         table = styles.calibrate(env, measure.RANGE)
         origin = json.loads(path.read_text(encoding="utf-8"))["origin"]

@@ -154,6 +154,10 @@ def test_searches_run_once_for_each_budget(method, tmp_path, monkeypatch):
     assert optimizers.run(more)[0] != rows  # another budget is another experiment
 
 
+# With the pinned brax and jax.  The others fail inside brax's own code.
+RUN = ("brax-es-fntg", "brax-es-mlp")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("method", optimizers_brax.NAMES)
 def test_a_trainer_of_brax_runs_or_says_why_not(method, tmp_path):
@@ -162,7 +166,8 @@ def test_a_trainer_of_brax_runs_or_says_why_not(method, tmp_path):
         out=tmp_path, budget=300_000, seeds=1, checkpoints=2, eval_scenes=8, methods=(method,)
     )
     rows, left_out = optimizers.run(options)
-    if left_out:
-        assert not rows and f"{method}: brax " in left_out[0] and "Error: " in left_out[0]
-    else:
+    if method in RUN:
+        assert not left_out, left_out
         assert len(rows) == 2 and rows[-1].control_steps >= options.budget
+    else:
+        assert not rows and f"{method}: brax " in left_out[0] and "Error: " in left_out[0]

@@ -7,6 +7,7 @@ import pytest
 
 from envs.base import Gene, Task
 from envs.kinematic import world as kinematic
+from envs.soccer import Match
 from fntg_jax import export
 from fntg_jax.commands import cli
 from fntg_jax.export import c_format, fll_format, numpy_format, verify
@@ -26,6 +27,24 @@ SLOW = [pytest.param(n, marks=pytest.mark.slow) for n in ("quadruped", "quadrupe
 @pytest.mark.parametrize("name", ["kinematic", *SLOW])
 def test_worlds(name):
     assert wrong(conformance.world(registry.get_world(name))) == []
+
+
+def test_matches():
+    match = registry.get_match("soccer")()
+    assert wrong(conformance.match(match, 4)) == []
+    forgetful = Forgetful(players=1)
+    found = [check.what for check in wrong(conformance.match(forgetful, 4))]
+    assert "another seed, another match" in found and "goals start at 0 and do not fall" in found
+
+
+class Forgetful(Match):
+    """One seed for all, and goals against it."""
+
+    def reset(self, kickoff=0, seed=0):
+        return super().reset(kickoff, 0 * jnp.asarray(seed))
+
+    def score(self, state):
+        return state.statistics.goals - state.game.tick
 
 
 @pytest.mark.slow

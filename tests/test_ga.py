@@ -318,7 +318,7 @@ def result(first, seeds):
     config = TrainConfig(seeds=seeds, first_seed=first, generations=4, ga=GAConfig(population=6))
     run = train(config)
     h = run.history()
-    bits = np.asarray(run.state.bits)[:seeds]
+    bits = np.asarray(run.now.population.bits)[:seeds]
     return [[b.tobytes().hex(), m.tobytes().hex(), np.packbits(x).tobytes().hex()]
             for b, m, x in zip(h.best, h.mean, bits)]
 batch = result(7, 3)

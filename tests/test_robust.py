@@ -99,7 +99,7 @@ def test_the_final_controller_is_the_best_of_its_population_on_validation_scenes
     static, traced = run.problem.static, run.problem.traced()
     value = jax.jit(lambda theta: objective.score(static, traced, theta, scenes))
     for n in range(2):
-        theta = genome.decode(run.state.bits[n], 15, True)
+        theta = genome.decode(run.now.population.bits[n], 15, True)
         scores = value(theta)
         np.testing.assert_allclose(result.fitness[n], scores.max(), rtol=1e-4)
         np.testing.assert_allclose(result.theta[n], theta[scores.argmax()], atol=1e-6)

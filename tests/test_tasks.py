@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import fntg_jax
+from envs import kinematic
 from fntg_jax.commands import cli
+from fntg_jax.controller import genome
 from fntg_jax.running import problem, registry, run_folder, runner, settings, xla
 
 GENES = (fntg_jax.Gene("x", "m", 0.0, 2.0), fntg_jax.Gene("y", "m", -1.0, 1.0))
@@ -49,22 +51,70 @@ def test_a_task_of_ones_own_learns_in_its_units_and_is_judged():
 def test_progress_runs_from_0_to_1_and_memory_survives_a_resume(tmp_path):
     config = settings.from_dict({**OPTIONS, "task": "valley"})
     whole = runner.complete(runner.Run(problem.resolve(config, TASK)))
-    np.testing.assert_allclose(whole.state.memory["seen"][0], np.arange(6) / 5, atol=1e-6)
+    np.testing.assert_allclose(whole.now.population.memory["seen"][0], np.arange(6) / 5, atol=1e-6)
     folder = tmp_path / "run"
     run_folder.create(folder, config)
     part = runner.Run(problem.resolve(config, TASK))
-    part.chunk = 2
+    part.now = part.now._replace(chunk=2)
     part.advance()
     run_folder.save_checkpoint(folder, part)
     again = runner.complete(run_folder.restore(folder, TASK))
     plain = lambda run: [  # noqa: E731
         np.asarray(jax.random.key_data(x) if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else x)
-        for x in jax.tree.leaves(run.state)
+        for x in jax.tree.leaves(run.now.population)
     ]
     for found, expected in zip(plain(again), plain(whole), strict=True):
         np.testing.assert_array_equal(found, expected)
     for found, expected in zip(again.history(), whole.history()):
         np.testing.assert_array_equal(found, expected)
+
+
+def test_a_task_starts_from_an_earlier_run_or_its_genes(tmp_path):
+    fntg_jax.learn(task=TASK, out=tmp_path / "first", **OPTIONS)
+    document = json.loads((tmp_path / "first" / "params.json").read_text())
+    document["genes"][0]["value"] = 1.75
+    (tmp_path / "genes.json").write_text(json.dumps(document))
+
+    def start(source, **more):
+        options = {**OPTIONS, "task": "valley", "warm_start": str(tmp_path / source), **more}
+        return runner.start(problem.resolve(settings.from_dict(options), TASK))
+
+    def genes(run):
+        bits = np.asarray(run.now.population.bits)[:, 0]  # of each seed the first
+        return run.problem.in_units(np.asarray(genome.decode(bits, 15, False)))
+
+    last = run_folder.restore(tmp_path / "first", TASK).now.population.bits
+    again = start("first")
+    np.testing.assert_array_equal(again.now.population.bits, last)
+    assert again.generation == 0 and again.origin.startswith("the populations of")
+    found = genes(start("genes.json", seeds=3))
+    y = document["genes"][1]["value"]
+    np.testing.assert_allclose(found, [[1.75, y]] * 3, atol=1e-4)
+    # Another population: neighbours of its best.
+    x = json.loads((tmp_path / "first" / "params.json").read_text())["genes"][0]["value"]
+    found = genes(start("first", ga={"population": 8}))
+    np.testing.assert_allclose(found, [[x, y]] * 2, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d.update(task="hill") or d["genes"][0].update(name="z"), "genes are z, y"),
+        (lambda d: d["genes"][0].update(unit="kg"), "x is in 'kg'"),
+        (lambda d: d["genes"][0].update(value=3.0), "x = 3.0: allowed are 0 to 2"),
+        (lambda d: d["genes"][0].update(value="a"), "x = 'a'"),
+        (lambda d: d.pop("genes"), "no genes"),
+    ],
+)
+def test_genes_that_do_not_fit_are_refused(change, words, tmp_path):
+    genes = [{"name": g.name, "unit": g.unit, "value": 0.5} for g in GENES]
+    document = {"format": "fntg-genes", "version": 1, "task": "valley", "genes": genes}
+    change(document)
+    (tmp_path / "genes.json").write_text(json.dumps(document))
+    config = {**OPTIONS, "task": "valley", "warm_start": str(tmp_path / "genes.json")}
+    with pytest.raises(ValueError, match="warm_start = ") as refusal:
+        runner.start(problem.resolve(settings.from_dict(config), TASK))
+    assert words in str(refusal.value) and "\n" not in str(refusal.value)
 
 
 def test_the_command_learns_a_registered_task(tmp_path, monkeypatch, capsys):
@@ -114,3 +164,56 @@ def test_genes_are_checked():
     ):
         with pytest.raises(ValueError, match=words):
             problem.resolve(settings.TrainConfig(), TASK._replace(genes=genes))
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_nan_is_reported_while_it_trains_and_at_the_end(share, tmp_path, monkeypatch, capsys):
+    """All of it: nothing was learnt, status 2.  A part: the run ends well, and says how many."""
+
+    def holes(key, theta, memory, progress):
+        value, memory = fitness(key, theta, memory, progress)
+        return jnp.where(jnp.arange(len(theta)) < share * len(theta), jnp.nan, value), memory
+
+    monkeypatch.setattr(xla, "configure", lambda **_: None)
+    make = lambda: TASK._replace(fitness=holes, judge=None)  # noqa: E731
+    monkeypatch.setitem(registry._registered[registry.TASKS], "valley", make)
+    folder = tmp_path / "run"
+    arguments = ["--task", "valley", "--generations", "3", "--ga.population", "8"]
+    status = 0
+    try:
+        cli.main(["train", *arguments, "--out", str(folder)])
+    except SystemExit as stop:
+        status = stop.code
+    words = capsys.readouterr().err
+    lost = round(share * 8)
+    assert f"  {lost} genomes with NaN or infinite fitness" in words
+    if share == 1:
+        assert status == 2 and not (folder / "params.json").exists()
+        last = words.strip().split("\n")[-1]
+        assert last.startswith("fntg: error: task 'valley': no genome") and "--task valley" in last
+    else:
+        assert status == 0 and f"{3 * lost} of 24 genomes had NaN or infinite fitness" in words
+
+
+def test_a_world_of_nothing_but_nan_ends_in_one_line(tmp_path, monkeypatch, capsys):
+    class Lost:
+        def __init__(self):
+            self._env = kinematic.make()
+
+        def __getattr__(self, name):
+            return getattr(self._env, name)
+
+        def measure(self, state):
+            return jax.tree.map(lambda x: x * jnp.nan, self._env.measure(state))
+
+    jax.tree_util.register_static(Lost)
+    world = kinematic.world._replace(make=lambda **options: Lost())
+    monkeypatch.setattr(xla, "configure", lambda **_: None)
+    monkeypatch.setitem(registry._registered[registry.WORLDS], "lost", world)
+    options = ["--env", "lost", "--generations", "2", "--ga.population", "8"]
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["train", *options, "--out", str(tmp_path / "run")])
+    assert stop.value.code == 2
+    words = capsys.readouterr().err
+    assert "8 genomes with NaN or infinite fitness" in words
+    assert words.strip().split("\n")[-1].startswith("fntg: error: world 'lost': no genome")

@@ -45,13 +45,13 @@ def genes(config, state):
 
 def test_the_same_shape_takes_over_the_last_populations(source):
     run = start(warm(source))
-    last = run_folder.restore(source).state
-    np.testing.assert_array_equal(run.state.bits, last.bits)
+    last = run_folder.restore(source).now.population
+    np.testing.assert_array_equal(run.now.population.bits, last.bits)
     assert run.generation == 0 and run.origin == f"the populations of {source}"
     # All but the populations is that of a new run: its keys are not the old ones.
-    fresh = runner.Run(problem.resolve(CONFIG)).state
-    assert (jax.random.key_data(run.state.key) == jax.random.key_data(fresh.key)).all()
-    assert np.isneginf(run.state.best_fitness).all()
+    fresh = runner.Run(problem.resolve(CONFIG)).now.population
+    assert (jax.random.key_data(run.now.population.key) == jax.random.key_data(fresh.key)).all()
+    assert np.isneginf(run.now.population.best_fitness).all()
     # An elite on the same scenes: it goes on from where it was.
     before = run_folder.load_history(source).best[:, -1]
     assert (runner.complete(run).history().best[:, 0] >= before).all()
@@ -69,7 +69,7 @@ def test_the_same_shape_takes_over_the_last_populations(source):
 def test_another_shape_takes_neighbours_of_the_best_controller(source, changes):
     config = warm(source, **changes)
     run = start(config)
-    theta, found = fntg_jax.load(source).theta, genes(config, run.state)
+    theta, found = fntg_jax.load(source).theta, genes(config, run.now.population)
     assert "neighbours" in run.origin
     step = 10 / (2**config.ga.num_bits - 1)
     np.testing.assert_allclose(found[:, 0], np.tile(theta, (config.seeds, 1)), atol=step)
@@ -82,18 +82,18 @@ def test_another_shape_takes_neighbours_of_the_best_controller(source, changes):
 def test_a_file_and_another_world(source):
     options = {"v_max": 0.25, "capture": 0.145}
     from_file = warm(source / "params.json", env_options=options)
-    found = genes(from_file, start(from_file).state)
+    found = genes(from_file, start(from_file).now.population)
     np.testing.assert_allclose(found[:, 0], fntg_jax.load(source).theta[None].repeat(2, 0), 1e-4)
     from_run = warm(source, env_options=options)  # the populations fit in any world
-    last = run_folder.restore(source).state.bits
-    np.testing.assert_array_equal(start(from_run).state.bits, last)
+    last = run_folder.restore(source).now.population.bits
+    np.testing.assert_array_equal(start(from_run).now.population.bits, last)
 
 
 def test_a_seed_does_not_depend_on_its_company(source):
     file = source / "params.json"
-    three = genes(warm(file, seeds=3), start(warm(file, seeds=3)).state)
+    three = genes(warm(file, seeds=3), start(warm(file, seeds=3)).now.population)
     last = warm(file, seeds=1, first_seed=7)
-    np.testing.assert_array_equal(genes(last, start(last).state)[0], three[2])
+    np.testing.assert_array_equal(genes(last, start(last).now.population)[0], three[2])
 
 
 def test_command_and_resume_after_the_source_is_gone(source, tmp_path, capsys, monkeypatch):

@@ -51,7 +51,7 @@ def make(impl: str = "structured", /, **options: float) -> Any:
     if drawn and impl != "structured":
         raise ValueError(f"env option {next(iter(drawn))}: only the world quadruped varies the dog")
     try:
-        from envs.quadruped.environment import Quadruped
+        from envs.quadruped.environment import standing
         from envs.quadruped.nature import Nature
         from envs.quadruped.physics import Solver
     except ModuleNotFoundError as error:
@@ -67,11 +67,11 @@ def make(impl: str = "structured", /, **options: float) -> Any:
             f"MUJOCO_GL = {chosen!r}: MuJoCo does not start with it ({error}); unset it, or set egl"
             " (Debian: libegl1 libgl1-mesa-dri) or osmesa (libosmesa6)"
         ) from error
-    return Quadruped(
+    return standing(
         limits=limits,
         solver=Solver(impl, _TIMESTEP, substeps),
         nature=Nature(**drawn) if drawn else None,
-        **options,  # type: ignore[arg-type]
+        **options,
     )
 
 

@@ -47,10 +47,6 @@ class State(NamedTuple):
     fate: fates.Fate | None = None
 
 
-def _default_gait() -> Gait:
-    return load_gait()
-
-
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Quadruped:
@@ -67,11 +63,12 @@ class Quadruped:
     instead, with noise, latency and pushes; None: not at all.
     solver: timestep, substeps and back end (static).  fall_tilt: cosine of the trunk's tilt, and
     fall_height: shoulders above the floor (m), below which the dog has fallen; it then stays as
-    it is.  ball_deceleration: m/s^2 of a rolling ball.  rest: the pose at the start, found by
-    standing still for two seconds when it is not given.
+    it is.  ball_deceleration: m/s^2 of a rolling ball.  rest: the pose at the start; `standing`
+    finds that of a gait.
     """
 
-    gait: Gait = dataclasses.field(default_factory=_default_gait)
+    gait: Gait
+    rest: Float[Array, "19"]
     limits: Limits = Limits(**c.OWN)
     servo_speed: Scalar = 1.0
     fall_tilt: Scalar = 0.7
@@ -81,12 +78,6 @@ class Quadruped:
     nature: fates.Nature | None = None
     solver: physics.Solver = dataclasses.field(default=physics.Solver(), metadata={"static": True})
     field: Field = dataclasses.field(default=FIELD, metadata={"static": True})
-    rest: Float[Array, "19"] | None = None
-
-    def __post_init__(self):
-        # JAX rebuilds the object around tracers; by then the pose is there.
-        if self.rest is None:
-            object.__setattr__(self, "rest", physics.settled(self.gait, self.solver))
 
     @property
     def dt(self) -> float:
@@ -213,6 +204,20 @@ def three(command: Any) -> tuple[Any, Any, Any]:
     """v, v_y, omega of a command, which need not have a v_y."""
     v_y = getattr(command, "v_y", None)
     return command.v, jnp.zeros_like(command.v) if v_y is None else v_y, command.omega
+
+
+def standing(
+    gait: Gait | None = None, solver: physics.Solver = physics.Solver(), **fields: Any
+) -> Quadruped:
+    """A dog that starts as it comes to rest with this gait, after standing still for two seconds.
+
+    Args:
+        gait: how it walks; None for the default one.
+        solver: timestep, substeps and back end.
+        fields: further fields of `Quadruped`.
+    """
+    gait = load_gait() if gait is None else gait
+    return Quadruped(gait=gait, rest=physics.settled(gait, solver), solver=solver, **fields)
 
 
 def heading(qpos: Float[Array, "19"]) -> tuple[Scalar, Scalar]:

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from envs.base import Task
 from envs.quadruped import measure
-from envs.quadruped.environment import Quadruped
+from envs.quadruped.environment import Quadruped, standing
 from envs.quadruped.locomotion import load_gait
 from envs.quadruped.rigid_body import Variation
 from envs.quadruped.styles import document
@@ -192,7 +192,8 @@ def task(style: float = 0) -> Task:
         raise ValueError(f"task option style = {style:g}: allowed are {allowed}")
     name = names[int(style)]
     aims = STYLES[name]
-    env = Quadruped(gait=dataclasses.replace(load_gait(), calibration=None))
+    # A genome is judged from the stand of the gait that its ranges lie around.
+    env = standing(dataclasses.replace(load_gait(), calibration=None))
 
     def own(theta):
         values = {g.name: theta[n] for n, g in enumerate(GENES)}

@@ -40,14 +40,14 @@ def ours(job: Job) -> Run:
     run = runner.Run(problem.resolve(config))
     if job.theta is None:
         run.compile()
-        start = run.state
+        start = run.now.population
 
         def learn(number):
             del number
-            run.state, run.records = start, []
+            run.now = run.now._replace(population=start, records=())
             while not run.done:
                 run.advance()  # returns NumPy: nothing is left in flight
-            return np.median(run.state.best_fitness)
+            return np.median(run.now.population.best_fitness)
 
         return learn
     # Copied: the run's arrays lie on a mesh of its own.

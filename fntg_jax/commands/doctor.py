@@ -12,23 +12,25 @@ from fntg_jax.running import xla
 @dataclasses.dataclass(frozen=True)
 class DoctorOptions:
     """Versions against the ranges that fntg-jax declares, devices, compilation cache, rendering
-    back end, worlds and tasks by name.  Exit status 1 when a package is missing or outside its
-    range, else 0.
+    back end; worlds, tasks and matches by name.  Exit status 1 when a package is missing or outside
+    its range, else 0.
 
     Attributes:
         world: only run the conformance suite on this world (minutes where compiling takes them);
             exit status 1 where it breaks a law.
         task: the same for a task.
+        match: the same for a match.
     """
 
     world: str = ""
     task: str = ""
+    match: str = ""
 
 
 def main(argv: list[str]) -> None:
     options = parse(DoctorOptions, argv, "doctor")
     xla.configure()
-    if options.world or options.task:
+    if options.world or options.task or options.match:
         raise SystemExit(0 if _conforms(options) else 1)
     healthy = True
     print(f"fntg-jax {metadata.version('fntg-jax')}, Python {platform.python_version()}")
@@ -75,6 +77,11 @@ def _conforms(options: DoctorOptions) -> bool:
         resolved = problem.resolve(settings.TrainConfig(task=options.task))
         bound = resolved.task_of(resolved.traced()._replace(scenes=resolved.scenes()[0]))
         checks.append((f"task {options.task!r}", (bound.fitness,), conformance.task(bound)))
+    if options.match:
+        make = registry.get_match(options.match)
+        with registry.code_of(f"match {options.match!r}", make):
+            match = make()
+        checks.append((f"match {options.match!r}", (match,), conformance.match(match)))
     right = True
     for what, own, suite in checks:
         print(what)

@@ -145,9 +145,14 @@ def _train(folder: Path, run: Any, stop: stopping.Stop, resumed: bool) -> None:
         judged = {name: x[np.argmax(result.fitness)] for name, x in result.judgement.items()}
         say("judged: " + ", ".join(f"{name} {x:.4g}" for name, x in judged.items()))
     say(
-        f"best fitness {result.fitness.max():.4g}{spread}; {run.run_seconds:.2f} s of evolution, "
+        f"best fitness {result.fitness.max():.4g}{spread}; "
+        f"{run.now.run_seconds:.2f} s of evolution, "
         f"{time.perf_counter() - began:.2f} s of choosing and writing"
     )
+    history = run.history()
+    if lost := int(history.num_nonfinite.sum()):
+        total = history.best.size * config.ga.population
+        say(f"{lost} of {total} genomes had NaN or infinite fitness, which counts as 0")
     found = "controller" if run.problem.task is None else "genes"
     if hosts.is_first():
         say(f"figure {figure}, {found} {folder / 'params.json'}")

@@ -7,32 +7,15 @@ shape; float32 error below 1e-6 unless said otherwise.
 import math
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
-Scalar = Float[Array, ""]
-
-# atan(t) = t P(t^2) on [0, 1], minimax fit; largest error 3.8e-8 rad (as in `envs.field.bearing`).
-_ATAN = (
-    0.999999336,
-    -0.333298608,
-    0.199465656,
-    -0.139086292,
-    0.0964219645,
-    -0.0559123151,
-    0.02186295,
-    -0.0040545651,
-)
+from envs.base import Scalar, arctan
 
 
 def angle(x: Scalar, y: Scalar) -> Scalar:
     """Direction of (x, y) in rad, counter-clockwise from x, in [-pi, pi]; 0 at the origin."""
     ax, ay = jnp.abs(x), jnp.abs(y)
     t = jnp.minimum(ax, ay) / jnp.maximum(jnp.maximum(ax, ay), 1e-30)
-    s = t * t
-    p = jnp.full_like(s, _ATAN[-1])
-    for c in _ATAN[-2::-1]:
-        p = p * s + c
-    found = p * t
+    found = arctan(t)
     found = jnp.where(ay > ax, 0.5 * math.pi - found, found)
     found = jnp.where(x < 0, math.pi - found, found)
     return jnp.where(y < 0, -found, found)

@@ -12,7 +12,7 @@ import numpy as np
 from fntg_jax.learning import ga
 from fntg_jax.running import config_file
 from fntg_jax.running.problem import Problem
-from fntg_jax.running.runner import History, Run
+from fntg_jax.running.runner import History, Run, RunState
 
 _ARRAYS = (
     "config",
@@ -32,7 +32,7 @@ _ARRAYS = (
 def to_arrays(run: Run) -> dict[str, np.ndarray]:
     """The run as named arrays, to be written; `from_arrays` continues bit for bit."""
     history = run.history()
-    plain = jax.tree.map(_plain, run.state)
+    plain = jax.tree.map(_plain, run.now.population)
     state = run.rows.gather(plain)
     memory = {f"memory_{n}": x for n, x in enumerate(jax.tree.leaves(state.memory))}
     return {
@@ -42,7 +42,7 @@ def to_arrays(run: Run) -> dict[str, np.ndarray]:
         "generation": state.generation,
         "best_bits": np.packbits(state.best_bits, axis=-1),
         "best_fitness": state.best_fitness,
-        "seconds": np.asarray([run.compile_seconds, run.run_seconds]),
+        "seconds": np.asarray([run.now.compile_seconds, run.now.run_seconds]),
         "history_best": history.best,
         "history_mean": history.mean,
         "history_num_nonfinite": history.num_nonfinite,
@@ -78,7 +78,7 @@ def _plain(x: Any) -> Any:
 def from_arrays(run: Run, arrays: dict[str, np.ndarray]) -> None:
     """Let a new run of the same configuration take over a checkpoint.  Raises ValueError when it
     lacks something, or holds what no such run wrote."""
-    like, structure = jax.tree.flatten(run.state.memory)
+    like, structure = jax.tree.flatten(run.now.population.memory)
     memory = [f"memory_{n}" for n in range(len(like))]
     missing = [name for name in (*_ARRAYS, *memory) if name not in arrays]
     if missing:
@@ -95,7 +95,7 @@ def from_arrays(run: Run, arrays: dict[str, np.ndarray]) -> None:
             raise ValueError(f"{name} is {found.dtype} {found.shape}, not {like_it.dtype} {shape}")
     if not (arrays["generation"] == num).all():
         raise ValueError(f"its history has {num[0]} generations, its state another number")
-    length = run.state.bits.shape[-1]
+    length = run.now.population.bits.shape[-1]
 
     def unpack(name):
         return np.unpackbits(arrays[name], axis=-1, count=length).astype(bool)
@@ -114,13 +114,14 @@ def from_arrays(run: Run, arrays: dict[str, np.ndarray]) -> None:
         own = {"key": jax.random.wrap_key_data(x["key"]), "memory": structure.unflatten(kept)}
         return ga.State(**{**x, **own})
 
-    run.state = run.rows.place(saved, to_state)
-    run.compile_seconds, run.run_seconds = map(float, arrays["seconds"])
-    run.records = [
-        History(
-            arrays["history_best"],
-            arrays["history_mean"],
-            arrays["history_num_nonfinite"],
-            unpack("history_best_bits"),
-        )
-    ]
+    record = History(
+        arrays["history_best"],
+        arrays["history_mean"],
+        arrays["history_num_nonfinite"],
+        unpack("history_best_bits"),
+    )
+    compile_seconds, run_seconds = map(float, arrays["seconds"])
+    population = run.rows.place(saved, to_state)
+    run.now = RunState(
+        population, (record,), compile_seconds=compile_seconds, run_seconds=run_seconds
+    )

@@ -1,8 +1,9 @@
-"""Is a world, task, selection operator or export what the contract says?  For members of one's own.
+"""Is a world, match, task, selection operator or export what the contract says?  For members of
+one's own.
 
 Each suite yields a `Check` for everything it looked at; `wrong` is empty where that is right.
-`fntg doctor --world NAME` and `--task NAME` print them; `tests/test_conformance.py` runs all suites
-over all members of this package.
+`fntg doctor --world NAME`, `--match` and `--task` print them; `tests/test_conformance.py` runs all
+suites over all members of this package.
 """
 
 from collections.abc import Callable, Iterator
@@ -13,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from envs.base import Command, Task, World
+from envs.base import Action, Command, Senses, Task, Walk, World
 from fntg_jax.controller.controller import Controller
 from fntg_jax.controller.layout import LAYOUTS
 from fntg_jax.export import verify
@@ -164,6 +165,82 @@ def task(task: Task, population: int = 4) -> Iterator[Check]:
         files = task.files({g.name: float(x) for g, x in zip(task.genes, theta[0])})
         plain = all(isinstance(x, str) and "/" not in n for n, x in files.items())
         yield Check("files are texts by name", "" if plain else f"they are {files!r:.80}")
+
+
+def match(match: Any, num_steps: int = _STEPS) -> Iterator[Check]:
+    """Laws of a match: anything with the methods of `envs.soccer.Match`.
+
+    Args:
+        match: the member.
+        num_steps: control steps that are played; every robot walks.
+    """
+    kickoff, seeds, size = jnp.asarray([0, 1, 0, 1]), jnp.asarray([1, 1, 2, 3]), match.robots
+    traces = 0
+
+    def action(*batch):
+        shape = (size, *batch)
+        number, word = jnp.zeros(shape, jnp.int32), jnp.zeros((2, *shape), jnp.uint32)
+        speed = jnp.full(shape, 0.1)
+        walk = Walk(number, speed, 0 * speed, 0.3 * speed)
+        return Action(walk, jnp.zeros((3, *shape)), number, number, word)
+
+    @jax.jit
+    def drive(kickoff, seeds):
+        nonlocal traces
+        traces += 1
+
+        def step(state, _):
+            new = match.step_batch(state, action(len(seeds)))
+            return new, (match.sense_batch(new), match.truth_batch(new), match.score(new))
+
+        start = match.reset(kickoff, seeds)
+        end, seen = jax.lax.scan(step, start, None, length=num_steps)
+        return start, end, *seen
+
+    start = jax.eval_shape(match.reset, kickoff, seeds)
+    end = jax.eval_shape(match.step_batch, start, action(4))
+    wrong = _shapes_differ(start, end)
+    yield Check("step keeps structure, shapes and types of the state", wrong)
+    if wrong:
+        return
+    bad = [f"{x.shape}" for x in jax.tree.leaves(start) if x.shape[-1:] != (4,)]
+    yield Check("reset of 4 kick-offs and seeds: leaves [..., 4]", ", ".join(bad[:4]))
+    four = drive(kickoff, seeds)
+    again = drive(kickoff, seeds)
+    yield Check("a second call does not trace again", "" if traces == 1 else f"{traces} traces")
+    yield Check("the same kick-offs and seeds, the same matches", _differ(four, again))
+    yield Check("no NaN, no infinity", _not_finite(four[1:]))
+    row = lambda n: jax.tree.map(lambda x: x[..., n], four[1:])  # noqa: E731
+    for other, what in ((1, "kick-off"), (2, "seed")):
+        yield Check(
+            f"another {what}, another match", "" if _differ(row(0), row(other)) else "equal"
+        )
+    alone = jax.tree.map(lambda x: x[..., 0], drive(kickoff[3:], seeds[3:])[1:])
+    yield Check("a batch is a loop", _far(row(3), alone))
+    score = np.asarray(four[4])  # [steps, 2, matches]
+    legal = (np.diff(score, axis=0, prepend=0) >= 0).all()
+    yield Check("goals start at 0 and do not fall", "" if legal else f"{score[..., 0].T}")
+    # One match, its robots in front.
+    state = match.reset(0, 1)
+    sense = match.sense(state)
+    yield Check(
+        "sense gives envs.base.Senses", "" if isinstance(sense, Senses) else f"{type(sense)}"
+    )
+    yield Check("sense and truth: leaves [R, ...]", _leading((sense, match.truth(state)), size))
+    acted = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), action())
+    batched = jax.tree.map(lambda x: x[..., 0], match.step_batch(*_one(state, action())))
+    yield Check("step is step_batch of one", _far(match.step(state, acted), batched))
+    picture = match.snapshot(state)
+    shapes = picture.robots.shape, picture.ball.shape
+    yield Check(
+        "snapshot has robots [R, 3] and ball [2]",
+        "" if shapes == ((size, 3), (2,)) else f"{shapes}",
+    )
+
+
+def _one(*trees: Any) -> tuple[Any, ...]:
+    """As a batch of one, its axis last."""
+    return jax.tree.map(lambda x: x[..., None], trees)
 
 
 def selection(operator: Callable[..., Any], num: int = 4096) -> Iterator[Check]:

@@ -114,11 +114,12 @@ def _stored(
         if not 0 <= index < shape[0]:
             raise ValueError("another shape than config.json says")
         most = config_file.most_bytes(config, num_genes)
-        stored = read_arrays(read_bytes(path, "history", most), most)[name].astype(np.float64)
-        row = stored[index] if stored.shape == shape else np.asarray(np.inf)
+        stored = read_arrays(read_bytes(path, "history", most), most).get(name)
+        if stored is None or stored.shape != shape or stored.dtype.kind != "f":
+            raise ValueError("another shape than config.json says")
+        row = stored[index].astype(np.float64)
         if name != "fitness" and not np.all(np.abs(row) <= 5):
-            raise ValueError("another shape or range than config.json says")
-    except Exception as error:  # a damaged archive raises almost anything
-        why = getattr(error, "strerror", None) or error
-        raise ValueError(f"{path}: not the history of this run ({why})") from None
+            raise ValueError("another range than config.json says")
+    except ValueError as error:
+        raise ValueError(f"{path}: not the history of this run ({error})") from error
     return row

@@ -92,6 +92,7 @@ def learn(
         run_folder.create(out, config)
     runner.complete(run, on_progress)
     if out is None:
+        runner.check_finite(run)
         result = run.conclude()
     else:
         run_folder.save_checkpoint(out, run)

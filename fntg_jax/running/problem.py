@@ -21,7 +21,7 @@ _POOL_KEY = 0x9001  # of the scenes of training and validation; evaluation draws
 # Fields of a configuration that every task has; the others are those of bioa.
 _COMMON = (
     *("task", "task_options", "seeds", "first_seed", "generations", "ga", "initial"),
-    *("refine_steps", "refine_method"),
+    *("warm_start", "refine_steps", "refine_method"),
 )
 
 
@@ -74,6 +74,11 @@ class Problem(NamedTuple):
         low, high = low.astype(theta.dtype), high.astype(theta.dtype)
         return low * (1 - share) + high * share  # so that both ends come out exactly
 
+    def from_units(self, values: Any) -> np.ndarray:
+        """The inverse of `in_units`, for float64 NumPy."""
+        low, high = (np.asarray([getattr(g, n) for g in self.genes]) for n in ("low", "high"))
+        return LOW + (HIGH - LOW) * ((np.asarray(values) - low) / (high - low))
+
     @property
     def ranges(self) -> np.ndarray | None:
         """[genes, 2]: where genes start, in (-5, 5); None for anywhere."""
@@ -81,10 +86,8 @@ class Problem(NamedTuple):
             return None
         if self.task is None:
             return self.layout.partition
-        start = [getattr(g, "partition", (g.low, g.high)) for g in self.genes]
-        low, high = (np.asarray([getattr(g, n) for g in self.genes]) for n in ("low", "high"))
-        share = (np.asarray(start) - low[:, None]) / (high - low)[:, None]
-        return (LOW + (HIGH - LOW) * share).astype(np.float32)
+        start = np.asarray([getattr(g, "partition", (g.low, g.high)) for g in self.genes])
+        return self.from_units(start.T).T.astype(np.float32)
 
     def code(self) -> Any:
         """A context in which failures of the task's or world's code are told from ours."""

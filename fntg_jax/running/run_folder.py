@@ -28,7 +28,7 @@ from fntg_jax.files import (
 from fntg_jax.running import checkpoint, config_file, controllers, genes, hosts, settings
 from fntg_jax.running.problem import resolve
 from fntg_jax.running.provenance import provenance
-from fntg_jax.running.runner import History, Result, Run, decode_history, start
+from fntg_jax.running.runner import History, Result, Run, check_finite, decode_history, start
 from fntg_jax.running.settings import TrainConfig
 
 FILES = (
@@ -96,7 +96,7 @@ def restore(folder: Path, task: Task | None = None) -> Run:
             return b"+" + read_bytes(path, "checkpoint", most) if os.path.lexists(path) else b""
         except ValueError as error:
             why = str(error).removeprefix(f"{path}: ")
-            raise ValueError(f"{path}: not a checkpoint of this run ({why})") from None
+            raise ValueError(f"{path}: not a checkpoint of this run ({why})") from error
 
     data = hosts.from_first(read)
     if not data:
@@ -108,16 +108,25 @@ def restore(folder: Path, task: Task | None = None) -> Run:
         # Compared as configurations: options that came later have their defaults.
         if settings.from_dict(json.loads(str(arrays["config"]))) != problem.config:
             raise ValueError("it was written by a run of another configuration")
-    except Exception as error:
-        raise ValueError(f"{path}: not a checkpoint of this run ({error})") from None
+    except (ValueError, TypeError) as error:  # TypeError: arrays of another kind
+        raise ValueError(f"{path}: not a checkpoint of this run ({error})") from error
     return run
 
 
 def finish(
     folder: Path, run: Run, show: Callable[[int, int, float], None] = lambda *_: None
 ) -> Result:
-    """Write the results of a completed run; returns what the seeds came to.  show: see
-    `final_choice.conclude`."""
+    """Write the results of a completed run; returns what the seeds came to.
+
+    Args:
+        folder: of the run.
+        run: completed.
+        show: see `final_choice.conclude`.
+
+    Raises ValueError where nothing was learnt (`runner.check_finite`), OSError where a file cannot
+    be written.
+    """
+    check_finite(run)
     history, result = run.history(), run.conclude(show)
     if not hosts.is_first():
         return result
@@ -152,8 +161,8 @@ def finish(
                 write_atomically(folder / name, text.encode())
     took = {
         "num_devices": run.rows.mesh.size,
-        "compile_seconds": round(run.compile_seconds, 3),
-        "run_seconds": round(run.run_seconds, 3),
+        "compile_seconds": round(run.now.compile_seconds, 3),
+        "run_seconds": round(run.now.run_seconds, 3),
         "control_steps": run.control_steps,
     }
     _write_json(folder / "provenance.json", provenance() | took)

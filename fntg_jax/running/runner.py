@@ -17,6 +17,7 @@ import numpy as np
 from envs.base import Task
 from fntg_jax.controller import genome
 from fntg_jax.learning import ga
+from fntg_jax.learning.objective import Traced
 from fntg_jax.learning.rollout import EPISODE_STEPS
 from fntg_jax.running import final_choice, hosts, judged, memory, warmstart
 from fntg_jax.running.final_choice import Evolved, Result
@@ -51,6 +52,20 @@ class Progress(NamedTuple):
     num_nonfinite: int = 0
 
 
+class RunState(NamedTuple):
+    """What changes while a run advances; all the rest follows from its problem.
+
+    population: of all rows, on the devices.  records: one for each chunk.  chunk: generations of
+    the next.  compile_seconds, run_seconds: so far.
+    """
+
+    population: ga.State
+    records: tuple[History, ...] = ()
+    chunk: int = 1
+    compile_seconds: float = 0.0
+    run_seconds: float = 0.0
+
+
 _MEMORY = 0x3E3  # folded into a seed's key, for the memory of its task
 _MAX_CHUNK = 10  # generations
 _CHUNK_SECONDS = 1.0  # how long a chunk should take
@@ -61,8 +76,9 @@ class Run:
 
     variants: configurations that differ in traced floats only (`problem.program_key`), each of
     which runs with all seeds.  The seed axis of histories and results then is the flat axis of
-    (variant, seed).  The object only holds what must survive between chunks; the arithmetic is in
-    pure functions.  The first populations are random; `start` knows of others.
+    (variant, seed).  What changes is `now`, which may be kept and put back; the arithmetic is in
+    pure functions.  The first populations are random; `start` knows of others, and `origin` then
+    says which.
     """
 
     def __init__(self, problem: Problem, variants: Sequence[TrainConfig] = ()):
@@ -78,11 +94,10 @@ class Run:
             scenes, validation = problem.scenes()
         self.scenes = self.rows.share(scenes)
         self.validation = self.scenes if validation is scenes else self.rows.share(validation)
-        self.compile_seconds = 0.0
         self.memory_bytes = 0
         self.origin = ""  # of the first populations, in words; "" if they are random
         self._chunk: Any = None  # compiled
-        self.restart(variants or (config,))
+        self.traced, self.now = self._begin(variants or (config,))
 
     @property
     def config(self) -> TrainConfig:
@@ -90,8 +105,11 @@ class Run:
 
     def restart(self, variants: Sequence[TrainConfig]) -> None:
         """Back to generation 0, with as many variants as before."""
+        self.traced, self.now = self._begin(variants)
+
+    def _begin(self, variants: Sequence[TrainConfig]) -> tuple[Traced, RunState]:
         config, problem = self.config, self.problem
-        traced = [problem.variant(v).traced() for v in variants]
+        variant = [problem.variant(v).traced() for v in variants]
         seeds = np.tile(config.first_seed + np.arange(config.seeds), len(variants))
 
         remember = (lambda key: ()) if problem.task is None else problem.task.init
@@ -101,17 +119,14 @@ class Run:
             state = ga.init(key, len(problem.genes), config.ga, problem.ranges)
             return state._replace(memory=remember(jax.random.fold_in(key, _MEMORY)))
 
-        each = jax.tree.map(lambda *x: np.repeat(np.stack(x), config.seeds, axis=0), *traced)
-        self.traced = self.rows.place(each)
+        each = jax.tree.map(lambda *x: np.repeat(np.stack(x), config.seeds, axis=0), *variant)
+        traced = self.rows.place(each)
         with problem.code():
-            self.state = self.rows.place(seeds.astype(np.uint32), jax.vmap(init))
-        self.run_seconds = 0.0
-        self.chunk = 1
-        self.records: list[History] = []
+            return traced, RunState(self.rows.place(seeds.astype(np.uint32), jax.vmap(init)))
 
     @property
     def generation(self) -> int:
-        return sum(r.best.shape[1] for r in self.records)
+        return sum(r.best.shape[1] for r in self.now.records)
 
     @property
     def done(self) -> bool:
@@ -137,53 +152,61 @@ class Run:
                 problem=self.problem,
             )
         )
-        arguments = self.state, self.traced, self.scenes, np.int32(1)
+        arguments = self.now.population, self.traced, self.scenes, np.int32(1)
         with self.problem.code():
             lowered = advance.lower(*arguments)
         self._chunk = lowered.compile()
         self.memory_bytes = memory.check(self._chunk, len(self.rows.mesh.local_devices))
-        self.compile_seconds += time.perf_counter() - start
-        return time.perf_counter() - start
+        seconds = time.perf_counter() - start
+        self.now = self.now._replace(compile_seconds=self.now.compile_seconds + seconds)
+        return seconds
 
     def advance(self) -> Progress:
         """Run one chunk of generations, on all seeds; compiles it where `compile` did not."""
         if self._chunk is None:
             self.compile()
         start = time.perf_counter()
-        num = min(self.chunk, self.config.generations - self.generation)
-        self.state, record = self._chunk(self.state, self.traced, self.scenes, np.int32(num))
-        self.records.append(History(*(x[:, :num] for x in self.rows.gather(record))))
+        now = self.now
+        num = min(now.chunk, self.config.generations - self.generation)
+        population, record = self._chunk(now.population, self.traced, self.scenes, np.int32(num))
+        record = History(*(x[:, :num] for x in self.rows.gather(record)))
         seconds = time.perf_counter() - start
-        self.run_seconds += seconds
         # The same on all processes, whose clocks differ.
         length = min(max(int(_CHUNK_SECONDS * num / seconds), 1), _MAX_CHUNK)
-        (self.chunk,) = hosts.largest(length)
+        (chunk,) = hosts.largest(length)
+        self.now = RunState(
+            population,
+            (*now.records, record),
+            chunk,
+            now.compile_seconds,
+            now.run_seconds + seconds,
+        )
         return self.progress()
 
     def progress(self) -> Progress:
-        newest = self.records[-1]
+        newest = self.now.records[-1]
         return Progress(
             generation=self.generation,
             generations=self.config.generations,
             best=float(np.median(newest.best[:, -1])),
             mean=float(np.median(newest.mean[:, -1])),
-            seconds=self.run_seconds,
+            seconds=self.now.run_seconds,
             control_steps=self.control_steps,
             num_nonfinite=int(newest.num_nonfinite[:, -1].sum()),
         )
 
     def history(self) -> History:
         """All records so far."""
-        length = self.state.bits.shape[-1]
+        length = self.now.population.bits.shape[-1]
         none = np.zeros((self.rows.num, 0), np.float32)
         nothing = History(none, none, none.astype(np.int32), np.zeros((*none.shape, length), bool))
-        return History(*(np.concatenate(x, axis=1) for x in zip(nothing, *self.records)))
+        return History(*(np.concatenate(x, axis=1) for x in zip(nothing, *self.now.records)))
 
     def conclude(self, show: Callable[[int, int, float], None] = lambda *_: None) -> Result:
         """The controller of each seed: see `final_choice.Result`.  The same answer however often
         it is asked, also of a resumed run.  show: see `final_choice.conclude`."""
         evolved = Evolved(
-            self.problem, self.rows, self.state, self.traced, self.scenes, self.validation
+            self.problem, self.rows, self.now.population, self.traced, self.scenes, self.validation
         )
         task = self.problem.task
         if task is not None and task.judge is not None:
@@ -225,7 +248,8 @@ def start(problem: Problem) -> Run:
     run = Run(problem)
     if problem.config.warm_start:
         first = warmstart.start(problem)
-        run.state = run.state._replace(bits=run.rows.place(first.bits))
+        bits = run.rows.place(first.bits)
+        run.now = run.now._replace(population=run.now.population._replace(bits=bits))
         run.origin = first.origin
     return run
 
@@ -253,6 +277,19 @@ def complete(run: Run, on_progress: Callable[[Progress], None] | None = None) ->
         if on_progress is not None:
             on_progress(progress)
     return run
+
+
+def check_finite(run: Run) -> None:
+    """Raises ValueError (one line) where no genome of any generation had a finite fitness: nothing
+    was learnt, and there is nothing to choose from."""
+    best = run.rows.gather(run.now.population.best_fitness)
+    if not np.isfinite(best).any():
+        config = run.config
+        option, name = ("world", config.env) if run.problem.task is None else ("task", config.task)
+        raise ValueError(
+            f"{option} {name!r}: no genome of any generation had a finite fitness, all were NaN or "
+            f"infinite; fntg doctor --{option} {name} looks for the cause"
+        )
 
 
 def decode_history(history: History, config: TrainConfig) -> np.ndarray:

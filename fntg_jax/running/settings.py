@@ -15,11 +15,29 @@ from fntg_jax.learning.ga import GAConfig
 from fntg_jax.learning.objective import POOL
 
 
+class Options(dict[str, float]):
+    """Options by name that cannot be changed: with them a configuration has a hash, and copies of
+    it share nothing that moves."""
+
+    def _refuse(self, *_: Any, **__: Any) -> Any:
+        raise TypeError(
+            "options of a configuration do not change: dataclasses.replace makes another"
+        )
+
+    __setitem__ = __delitem__ = __ior__ = clear = pop = popitem = setdefault = update = _refuse
+
+    def __reduce__(self) -> tuple:  # copies and pickles are made at once, not item by item
+        return Options, (dict(self),)
+
+    def __hash__(self) -> int:  # type: ignore[override]
+        return hash(frozenset(self.items()))
+
+
 @dataclasses.dataclass(frozen=True)
 class TrainConfig:
     """One learning run, or several that differ in their seed.
 
-    Those from env to warm_start, the weights, refine_scenes, refine_rate and refine_top are of task
+    Those from env to objective, the weights, refine_scenes, refine_rate and refine_top are of task
     bioa alone.
 
     Attributes:
@@ -38,8 +56,8 @@ class TrainConfig:
         seeds: number of independent runs.
         first_seed: seed of the first; the others follow.
         generations: populations evaluated.
-        warm_start: run folder (of any world) or parameter file with the same layout to start from
-            instead of random populations.
+        warm_start: run folder or parameter file with the same genes to start from instead of random
+            populations (of bioa: with the same layout, of any world).
         initial: first population: "uniform": any genome; "partition": where the genes say:
             membership functions that divide the range of their input, as fuzzy tools start from; a
             team's genes near those by hand.
@@ -55,9 +73,9 @@ class TrainConfig:
     """
 
     task: str = "bioa"
-    task_options: dict[str, float] = dataclasses.field(default_factory=dict)
+    task_options: dict[str, float] = dataclasses.field(default_factory=Options)
     env: str = "kinematic"
-    env_options: dict[str, float] = dataclasses.field(default_factory=dict)
+    env_options: dict[str, float] = dataclasses.field(default_factory=Options)
     layout: str = "paper-31"
     output: network.Output = "scale"
     suite: str = "paper"
@@ -77,6 +95,11 @@ class TrainConfig:
     refine_top: int = 4
     fitness: PaperWeights = PaperWeights()
     smooth: SmoothWeights = SmoothWeights()
+
+    def __post_init__(self) -> None:
+        for name in ("task_options", "env_options"):
+            if isinstance(value := getattr(self, name), dict):  # else refused later, by name
+                object.__setattr__(self, name, Options(value))
 
 
 PRESETS = {
@@ -225,9 +248,16 @@ def _from_dict(default: Any, data: Any) -> Any:
         before = getattr(default, field)
         if dataclasses.is_dataclass(before):
             value = _from_dict(before, value)
-        elif type(value) is not type(before) and not (
-            isinstance(before, float) and type(value) is int
+        elif not isinstance(value, _kind(before)) or isinstance(value, bool) != isinstance(
+            before, bool
         ):
-            raise ValueError(f"{field} = {value!r}: allowed is {type(before).__name__}")
+            raise ValueError(f"{field} = {value!r}: allowed is {_kind(before)[0].__name__}")
         values[field] = value
     return dataclasses.replace(default, **values)
+
+
+def _kind(value: Any) -> tuple[type, ...]:
+    """What may stand in place of a value."""
+    if isinstance(value, dict):
+        return (dict,)
+    return (float, int) if isinstance(value, float) else (type(value),)
