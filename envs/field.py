@@ -59,6 +59,10 @@ def bearing(x: Scalar, y: Scalar) -> Scalar:
     atan2 with its arguments in reading order.  XLA does not vectorise atan2 on CPU, so in
     float32 a polynomial stands in for it (error below 4e-7 rad, less than one rounding of pi
     more than the library's); float64 uses the library's.  bearing(0, 0) = 0, with gradient 0.
+
+    Args:
+        x: m, or any unit that y has; of any shape.
+        y: the same.
     """
     if jnp.result_type(x, y) == jnp.float64:
         return jnp.arctan2(y, x)
@@ -77,19 +81,33 @@ def _bearing_jvp(primals, tangents):
 
 
 def distance(x: Scalar, y: Scalar) -> Scalar:
-    """Length of (x, y); the gradient at the origin is 0, not NaN."""
+    """Length of (x, y); the gradient at the origin is 0, not NaN.
+
+    Args:
+        x: m, of any shape.
+        y: m.
+    """
     return jnp.sqrt(jnp.maximum(x * x + y * y, 1e-20))
 
 
 def nearest_obstacle(
     x: Scalar, y: Scalar, discs: Sequence[Disc], field: Field = FIELD
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Distance (m) from a point to the nearest disc or wall surface, and a vector towards it.
+    """Distance from a point to the nearest disc or wall surface, and a vector towards it.
 
     The distance is negative inside a disc or outside the field.  The vector has no particular
     length; it points along a wall's outward normal or at a disc's centre, so that its
     direction does not jump when a surface is crossed.  The nearest of two equally near
     surfaces is the wall, then the first disc.
+
+    Args:
+        x: m, field's frame.
+        y: m.
+        discs: obstacles.
+        field: whose walls.
+
+    Returns:
+        The distance, m, and the vector's x and y.
     """
     to_x = 0.5 * field.length - jnp.abs(x)
     to_y = 0.5 * field.width - jnp.abs(y)
@@ -116,9 +134,15 @@ def _reflect(p: Scalar, v: Scalar, half: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def roll_ball(ball: Ball, dt: Scalar, deceleration: Scalar, field: Field = FIELD) -> Ball:
-    """The ball after dt: constant deceleration (m/s^2) until it stops, elastic walls.
+    """The ball after a time: constant deceleration until it stops, elastic walls.
 
     Exact between bounces; a ball without velocity is returned as it is.
+
+    Args:
+        ball: before.
+        dt: s.
+        deceleration: m/s^2, > 0.
+        field: whose walls.
     """
     if ball.vx is None or ball.vy is None:
         return ball
@@ -135,7 +159,13 @@ def roll_ball(ball: Ball, dt: Scalar, deceleration: Scalar, field: Field = FIELD
 
 
 def move_disc(disc: Disc, dt: Scalar, field: Field = FIELD) -> Disc:
-    """The obstacle after dt at constant velocity, turning at the walls."""
+    """The obstacle after a time at constant velocity, turning at the walls.
+
+    Args:
+        disc: before; without velocity it is returned as it is.
+        dt: s.
+        field: whose walls.
+    """
     if disc.vx is None or disc.vy is None:
         return disc
     x, vx = _reflect(disc.x + disc.vx * dt, disc.vx, 0.5 * field.length - disc.radius)

@@ -45,6 +45,9 @@ def concatenate(parts: list[Scene]) -> Scene:
 
     Where one part moves and another doesn't, the still one gets velocities of zero; where one has
     fewer obstacles (at least one), it gets copies of its first.
+
+    Args:
+        parts: batched scenes, at least one.
     """
     most = max(p.obstacles.shape[-2] for p in parts)
     parts = [_filled_up(p, most - p.obstacles.shape[-2]) for p in parts]

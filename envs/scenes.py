@@ -59,9 +59,13 @@ _INSTANTS = 111  # of an episode, looked at where something moves
 
 
 def paper(key: Key[Array, ""], num_scenes: int = 4) -> Scene:
-    """The learning set-up of Fig. 6: four fixed starts (the key is not used).
+    """The learning set-up of Fig. 6: four fixed starts.
 
     Paper: the starting postures are shown as a picture only; see `PAPER_STARTS`.
+
+    Args:
+        key: not used.
+        num_scenes: how many; beyond four they repeat.
     """
     del key
     starts = jnp.resize(jnp.asarray(PAPER_STARTS), (num_scenes, 3))
@@ -83,22 +87,42 @@ class Margins(NamedTuple):
 def open_field(
     key: Key[Array, ""], num_scenes: int, num_obstacles: int = 1, **margins: float
 ) -> Scene:
-    """Anything anywhere: random start, ball and obstacles.  margins: of `Margins`, as in every
-    suite below."""
+    """Anything anywhere: random start, ball and obstacles.
+
+    Args:
+        key: random key.
+        num_scenes: how many.
+        num_obstacles: in each.
+        margins: of `Margins`, m.
+    """
     return _draw(key, Margins(**margins), num_scenes, num_obstacles)
 
 
 def blocked(
     key: Key[Array, ""], num_scenes: int, num_obstacles: int = 1, **margins: float
 ) -> Scene:
-    """The first obstacle's centre lies within 0.145 m of the straight line start-ball."""
+    """The first obstacle's centre lies within 0.145 m of the straight line start-ball.
+
+    Args:
+        key: random key.
+        num_scenes: how many.
+        num_obstacles: in each, from 1.
+        margins: of `Margins`, m.
+    """
     return _draw(key, Margins(**margins), num_scenes, num_obstacles, blocked=True)
 
 
 def crowded(
     key: Key[Array, ""], num_scenes: int, num_obstacles: int = 2, **margins: float
 ) -> Scene:
-    """`blocked` with a second obstacle, anywhere that leaves a way between the two."""
+    """`blocked` with a second obstacle, anywhere that leaves a way between the two.
+
+    Args:
+        key: random key.
+        num_scenes: how many.
+        num_obstacles: in each, from 1.
+        margins: of `Margins`, m.
+    """
     return _draw(key, Margins(**margins), num_scenes, num_obstacles, blocked=True)
 
 
@@ -106,21 +130,42 @@ def moving_ball(
     key: Key[Array, ""], num_scenes: int, num_obstacles: int = 1, **margins: float
 ) -> Scene:
     """The ball rolls, slows down, bounces off walls and never runs into an obstacle; where it
-    comes to rest it keeps the distances of a lying ball."""
+    comes to rest it keeps the distances of a lying ball.
+
+    Args:
+        key: random key.
+        num_scenes: how many.
+        num_obstacles: in each.
+        margins: of `Margins`, m.
+    """
     return _draw(key, Margins(**margins), num_scenes, num_obstacles, rolling=True)
 
 
 def moving_obstacles(
     key: Key[Array, ""], num_scenes: int, num_obstacles: int = 1, **margins: float
 ) -> Scene:
-    """Obstacles walk straight on and turn at walls, never nearer to the ball than allowed."""
+    """Obstacles walk straight on and turn at walls, never nearer to the ball than allowed.
+
+    Args:
+        key: random key.
+        num_scenes: how many.
+        num_obstacles: in each, from 1.
+        margins: of `Margins`, m.
+    """
     return _draw(key, Margins(**margins), num_scenes, num_obstacles, walking=True)
 
 
 def traffic(
     key: Key[Array, ""], num_scenes: int, num_obstacles: int = 2, **margins: float
 ) -> Scene:
-    """The ball rolls and all obstacles walk, never nearer to the ball than allowed."""
+    """The ball rolls and all obstacles walk, never nearer to the ball than allowed.
+
+    Args:
+        key: random key.
+        num_scenes: how many.
+        num_obstacles: in each, from 1.
+        margins: of `Margins`, m.
+    """
     return _draw(key, Margins(**margins), num_scenes, num_obstacles, rolling=True, walking=True)
 
 
@@ -141,7 +186,10 @@ SUITES: dict[str, Callable[..., Scene]] = {
 
 
 def get_suite(name: str) -> Callable[..., Scene]:
-    """The suite of that name, which may carry margins: "blocked/wall=0.1/obstacle=0.2" (m).
+    """The suite of that name.
+
+    Args:
+        name: a key of `SUITES`, which may carry margins in m: "blocked/wall=0.1/obstacle=0.2".
 
     Raises ValueError naming the unknown suite or option, or the value and what is allowed.
     """

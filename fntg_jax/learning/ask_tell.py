@@ -74,7 +74,14 @@ class GeneticAlgorithm:
     def init(
         self, key: Key[Array, ""], population: Any, fitness: Float[Array, " P"], params: GAConfig
     ) -> State:
-        """The state after a first, evaluated population."""
+        """The state after a first, evaluated population.
+
+        Args:
+            key: not used; part of evosax's signature.
+            population: pytree with a leading axis [P].
+            fitness: [P], lower is better.
+            params: as `default_params`, but for its floats.
+        """
         del key
         nothing = State(
             bits=jnp.zeros((self.population_size, self.num_dims * params.num_bits), bool),
@@ -87,7 +94,16 @@ class GeneticAlgorithm:
 
     @partial(jax.jit, static_argnums=0)
     def ask(self, key: Key[Array, ""], state: State, params: GAConfig) -> tuple[Any, State]:
-        """A new population: selection, crossover, mutation, elites."""
+        """A new population: selection, crossover, mutation, elites.
+
+        Args:
+            key: random key.
+            state: of the algorithm.
+            params: as `default_params`, but for its floats.
+
+        Returns:
+            Individuals, a pytree with a leading axis [P], and the state as it was.
+        """
         self._check(params)
         finite = jnp.isfinite(state.fitness)
         worst = jnp.max(jnp.where(finite, state.fitness, -jnp.inf), initial=-jnp.inf)
@@ -105,7 +121,18 @@ class GeneticAlgorithm:
         state: State,
         params: GAConfig,
     ) -> tuple[State, dict[str, Array]]:
-        """Take over an evaluated population; the new state and metrics."""
+        """Take over an evaluated population.
+
+        Args:
+            key: not used; part of evosax's signature.
+            population: pytree with a leading axis [P].
+            fitness: [P], lower is better.
+            state: of the algorithm.
+            params: as `default_params`, but for its floats.
+
+        Returns:
+            The new state and evosax's metrics.
+        """
         state = self._take(state, population, fitness, params)
         metrics = self.metrics_fn(key, self._flat(population), fitness, state, params)
         return state._replace(generation_counter=state.generation_counter + 1), metrics
@@ -118,7 +145,15 @@ class GeneticAlgorithm:
         state: State,
         params: GAConfig,
     ) -> dict[str, Array]:
-        """evosax's metrics of a population, flat."""
+        """evosax's metrics.
+
+        Args:
+            key: not used.
+            population: [P, genes].
+            fitness: [P], lower is better.
+            state: after it was told.
+            params: not used.
+        """
         del key, params
         best = jnp.argmin(jnp.where(jnp.isnan(fitness), jnp.inf, fitness))
         return {
@@ -131,12 +166,20 @@ class GeneticAlgorithm:
         }
 
     def get_best_solution(self, state: State) -> Any:
-        """The best individual of the newest population, as a pytree."""
+        """The best individual of the newest population, as a pytree.
+
+        Args:
+            state: of the algorithm.
+        """
         best = jnp.argmin(jnp.where(jnp.isnan(state.fitness), jnp.inf, state.fitness))
         return jax.tree.map(lambda x: x[best], self.get_population(state))
 
     def get_population(self, state: State) -> Any:
-        """The newest population, as a pytree with a leading axis."""
+        """The newest population, as a pytree with a leading axis.
+
+        Args:
+            state: of the algorithm.
+        """
         return self._solutions(state.bits, self.default_params)
 
     def _check(self, params):

@@ -3,8 +3,8 @@
 The roll-out jumps where "left" and "right" swap and where another obstacle becomes the nearest.
 A pathwise gradient knows nothing of these jumps (see `refine`); a cloud of samples does, and
 learns which genes have to move together.  Equations and constants: N. Hansen, "The CMA Evolution
-Strategy: A Tutorial", arXiv:1604.00772 (numbers in brackets below), with rank-one and rank-mu
-updates and no negative weights.
+Strategy: A Tutorial", arXiv:1604.00772 (numbers in brackets below; evosax 0.3 and cmaes 0.13 carry
+the same ones), with rank-one and rank-mu updates and no negative weights.
 """
 
 from collections.abc import Callable
@@ -73,12 +73,21 @@ def adapt(
     population: int = POPULATION,
     validate_every: int = 20,
 ) -> Adapted:
-    """Search around theta for num_steps samplings; the best validated mean is returned, so that
-    the result is never worse than the start.
+    """Search around theta; the best validated mean is returned, so that the result is never worse
+    than the start.
 
-    draw: key -> a batch of training scenes, the same for all samples of a step.  validation:
-    scenes for the choice of the mean.  sigma: first step size, in genes.  Samples outside of
-    [-5, 5] are judged on the bound and pay for the way there.
+    Samples outside of [-5, 5] are judged on the bound and pay for the way there.
+
+    Args:
+        key: random key, of scenes and samples.
+        theta: [genes], where to start.
+        costs_fn: (theta [P, genes], scenes) -> mean cost [P].
+        draw: key -> a batch of training scenes, the same for all samples of a step.
+        validation: scenes for the choice of the mean.
+        num_steps: samplings.
+        sigma: first step size, in genes.
+        population: samples of a step.
+        validate_every: steps between two validations.
     """
 
     def round_(course, n):
@@ -93,7 +102,13 @@ def adapt(
 
 
 def begin(theta: Float[Array, " genes"], cost: Float[Array, ""], sigma: float = SIGMA) -> Course:
-    """Before the first step from theta; cost: that of theta on the validation scenes."""
+    """Before the first step.
+
+    Args:
+        theta: [genes], where to start.
+        cost: that of theta on the validation scenes; what is not finite counts as infinite.
+        sigma: first step size, in genes.
+    """
     cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
     zero = jnp.zeros((), int)
     return Course(init(theta, sigma), zero, theta, cost, zero)
@@ -108,8 +123,21 @@ def advance(
     num_steps: int | Int[Array, ""],
     population: int = POPULATION,
 ) -> tuple[Course, Float[Array, ""]]:
-    """num_steps more samplings, then the mean is validated: the course and that cost.  Arguments
-    as of `adapt`; in parts or in one go, the same key gives the same samples."""
+    """Some more samplings, then the mean is validated.  In parts or in one go, the same key gives
+    the same samples.
+
+    Args:
+        key: random key, the same in all calls.
+        course: the search so far.
+        costs_fn: as of `adapt`.
+        draw: as of `adapt`.
+        validation: as of `adapt`.
+        num_steps: samplings; may be traced.
+        population: samples of a step.
+
+    Returns:
+        The course after them, and the cost of its mean on the validation scenes.
+    """
     step = make_step(course.theta.shape[0], population, costs_fn)
 
     def inner(m, carry):
@@ -129,21 +157,38 @@ def advance(
 
 
 def inside(theta):
-    """theta [..., genes] on the bounds of the genes where it is outside."""
+    """On the bounds of the genes where it is outside.
+
+    Args:
+        theta: [..., genes].
+    """
     return jnp.clip(theta, LOW, HIGH)
 
 
 def init(theta: Float[Array, " genes"], sigma: float) -> Search:
-    """A search around theta with that step size, in genes, the same in all directions."""
+    """A search with the same step size in all directions.
+
+    Args:
+        theta: [genes], its mean.
+        sigma: step size, in genes.
+    """
     size = theta.shape[0]
     return Search(theta, jnp.asarray(sigma), jnp.eye(size), jnp.zeros(size), jnp.zeros(size))
 
 
 def make_step(n: int, population: int, costs_fn: CostsFn):
-    """One sampling and update of n genes: (key, search, scenes, number of the step from 0) ->
-    search, samples skipped."""
+    """One sampling and update, equations (38) to (47).
+
+    Args:
+        n: genes.
+        population: samples.
+        costs_fn: as of `adapt`.
+
+    Returns:
+        (key, search, scenes, number of the step from 0) -> search, samples without finite cost.
+    """
     num = population // 2
-    weights = np.log(num + 0.5) - np.log(np.arange(1, num + 1))  # (49)
+    weights = np.log((population + 1) / 2) - np.log(np.arange(1, num + 1))  # (49)
     weights /= weights.sum()  # (53)
     mu = 1 / np.sum(weights**2)  # (8)
     c_c = (4 + mu / n) / (n + 4 + 2 * mu / n)  # (56)

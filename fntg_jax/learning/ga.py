@@ -64,7 +64,13 @@ class GAConfig:
 
 
 def validate(config: GAConfig) -> None:
-    """Check a configuration at the edge.  Raises ValueError: field, value, what is allowed."""
+    """Check a configuration at the edge.
+
+    Args:
+        config: its floats are numbers, not traced.
+
+    Raises ValueError: field, value, what is allowed.
+    """
 
     def check(name, allowed, ok):
         value = getattr(config, name)
@@ -119,8 +125,16 @@ def select_roulette(key, fitness, num, config):
 def select_sus(key, fitness, num, config):
     """Baker's stochastic universal sampling: one spin, `num` equally spaced pointers.
 
-    The parents are shuffled, since the pointers meet them in order and neighbours mate.  Arguments
-    and result as of `select_roulette`.
+    The parents are shuffled, since the pointers meet them in order and neighbours mate.
+
+    Args:
+        key: random key.
+        fitness: [P], >= 0.
+        num: how many parents.
+        config: not used here.
+
+    Returns:
+        Indices of the parents, [num].
     """
     del config
     k_spin, k_shuffle = jax.random.split(key)
@@ -131,7 +145,14 @@ def select_sus(key, fitness, num, config):
 def select_rank(key, fitness, num, config):
     """Linear ranking: the best expects rank_pressure copies, the worst 2 - rank_pressure.
 
-    Arguments and result as of `select_roulette`.
+    Args:
+        key: random key.
+        fitness: [P].
+        num: how many parents.
+        config: holds rank_pressure.
+
+    Returns:
+        Indices of the parents, [num].
     """
     size = fitness.shape[0]
     rank = jnp.argsort(jnp.argsort(fitness))  # 0 is the worst
@@ -143,7 +164,14 @@ def select_rank(key, fitness, num, config):
 def select_tournament(key, fitness, num, config):
     """The best of tournament_size genomes drawn with replacement.
 
-    Arguments and result as of `select_roulette`.
+    Args:
+        key: random key.
+        fitness: [P].
+        num: how many parents.
+        config: holds tournament_size.
+
+    Returns:
+        Indices of the parents, [num].
     """
     rivals = jax.random.randint(key, (num, config.tournament_size), 0, fitness.shape[0])
     winner = jnp.argmax(fitness[rivals], axis=1)
@@ -153,7 +181,14 @@ def select_tournament(key, fitness, num, config):
 def select_truncation(key, fitness, num, config):
     """Uniform among the best truncation_share of the population (at least one genome).
 
-    Arguments and result as of `select_roulette`.
+    Args:
+        key: random key.
+        fitness: [P].
+        num: how many parents.
+        config: holds truncation_share.
+
+    Returns:
+        Indices of the parents, [num].
     """
     size = fitness.shape[0]
     breeders = jnp.maximum(jnp.round(config.truncation_share * size), 1)
@@ -350,7 +385,11 @@ def generation(
 
 
 def fitness_key(state: State) -> Key[Array, ""]:
-    """What this generation's fitness may draw from."""
+    """What this generation's fitness may draw from.
+
+    Args:
+        state: before the generation.
+    """
     return jax.random.split(jax.random.fold_in(state.key, state.generation))[0]
 
 

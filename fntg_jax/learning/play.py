@@ -72,7 +72,14 @@ class History(NamedTuple):
 
 
 def kickoffs(seeds: Int[Array, " M"]) -> Int[Array, " M"]:
-    """Who kicks off: home in matches of even seed, away in the others."""
+    """Who kicks off: home in matches of even seed, away in the others.
+
+    Args:
+        seeds: [M].
+
+    Returns:
+        [M], 0 home, 1 away.
+    """
     return (seeds % 2).astype(jnp.int32)
 
 
@@ -86,13 +93,23 @@ def play(
     watch: Callable[[Any, Any], Float[Array, "K M"]] | None = None,
     axis: str | None = None,
 ) -> Any:
-    """Every seed's match from kick-off to the end: the match's statistics, leaves [M, 2].
+    """Every seed's match from kick-off to the end.
 
-    num_steps: control steps, default until all is over.  each: whether home.team, away.team has a
-    leading axis [M], a team for each match.  watch: (match, state of a batch) -> K numbers, summed
-    over all steps and returned beside the statistics, [M, K].  axis: inside `jax.shard_map`, the
-    devices along this axis share the blocks, and all get all matches.  M matches go block by block;
-    blocks are filled up with repetitions.
+    M matches go block by block; blocks are filled up with repetitions.
+
+    Args:
+        match: anything with the batch methods of `envs.soccer.Match`.
+        home: the team that plays towards +x first.
+        away: the other.
+        seeds: [M], of all noise.
+        num_steps: control steps; None until all is over.
+        each: whether home.team, away.team has a leading axis [M], a team for each match.
+        watch: (match, state of a batch) -> K numbers [K, M], summed over all steps; None for none.
+        axis: inside `jax.shard_map`, the devices along this axis share the blocks, and all get all
+            matches.
+
+    Returns:
+        The match's statistics, leaves [M, 2]; beside them [M, K] of `watch`.
     """
     num = seeds.shape[0]
     most = _BLOCK if jax.default_backend() == "cpu" else _BLOCK_ELSEWHERE
@@ -165,7 +182,18 @@ _ONE = (False, False)
 def begin(
     match: Any, home: Side, away: Side, state: Any, each: tuple[bool, bool] = _ONE
 ) -> tuple[Any, Any]:
-    """Memories of both teams' robots at a kick-off, leaves [..., N B]."""
+    """Memories of both teams' robots at a kick-off.
+
+    Args:
+        match: the match.
+        home: a team.
+        away: the other.
+        state: of the match, leaves [..., B].
+        each: as of `play`.
+
+    Returns:
+        Of home and of away, leaves [..., N B].
+    """
     poses = match.truth_batch(state).pose
     shirts = jnp.arange(match.players, dtype=jnp.int32)
     return tuple(
@@ -179,7 +207,21 @@ def begin(
 
 
 def control_step(match: Any, home: Side, away: Side, carry: Any, each: tuple[bool, bool] = _ONE):
-    """One control step of a batch: ((state, memories), action) after both teams have acted."""
+    """One control step of a batch, in which both teams act.
+
+    Robots and matches are one flat axis, the last, for the teams: their inner loops then run over
+    contiguous numbers.
+
+    Args:
+        match: the match.
+        home: a team.
+        away: the other.
+        carry: (state, memories of both teams).
+        each: as of `play`.
+
+    Returns:
+        The new carry, and the actions of all robots, leaves [..., R, B].
+    """
     memories, action = decide(match, home, away, carry, each)
     return (match.step_batch(carry[0], action), memories), action
 
@@ -240,7 +282,15 @@ def _spread(team, match, like):
 def record(
     match: Any, home: Side, away: Side, seed: Int[Array, ""], num_steps: int | None = None
 ) -> History:
-    """One match with everything that a viewer wants; the same match as `play` of that seed."""
+    """One match with everything that a viewer wants; the same match as `play` of that seed.
+
+    Args:
+        match: the match.
+        home: a team.
+        away: the other.
+        seed: of the match.
+        num_steps: control steps; None until it is over.
+    """
     steps = match.steps if num_steps is None else num_steps
     seeds = jnp.reshape(seed, (1,))
     state = match.reset(kickoffs(seeds), seeds)

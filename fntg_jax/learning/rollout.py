@@ -155,8 +155,12 @@ _LANES = 16  # of a vector register
 
 
 def num_blocks(num_trials: int) -> int:
-    """Into how many blocks a batch of num_trials trials is cut, on a CPU so that the state of a
-    block stays in the cache.  Whatever the number of devices: it changes no bit of a result."""
+    """Into how many blocks a batch is cut: on a CPU so that a block's state stays in the cache.
+    Whatever the number of devices: it changes no bit of a result.
+
+    Args:
+        num_trials: of the batch.
+    """
     size = _BLOCK if jax.default_backend() == "cpu" else _BLOCK_ELSEWHERE
     return max(round(num_trials / size), 1)
 

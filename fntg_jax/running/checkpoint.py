@@ -30,7 +30,11 @@ _ARRAYS = (
 
 
 def to_arrays(run: Run) -> dict[str, np.ndarray]:
-    """The run as named arrays, to be written; `from_arrays` continues bit for bit."""
+    """The run as named arrays, to be written; `from_arrays` continues bit for bit.
+
+    Args:
+        run: between two chunks.
+    """
     history = run.history()
     plain = jax.tree.map(_plain, run.now.population)
     state = run.rows.gather(plain)
@@ -76,8 +80,14 @@ def _plain(x: Any) -> Any:
 
 
 def from_arrays(run: Run, arrays: dict[str, np.ndarray]) -> None:
-    """Let a new run of the same configuration take over a checkpoint.  Raises ValueError when it
-    lacks something, or holds what no such run wrote."""
+    """Let a new run take over a checkpoint.
+
+    Args:
+        run: of the same configuration.
+        arrays: of `to_arrays`.
+
+    Raises ValueError when something is missing or has another shape.
+    """
     like, structure = jax.tree.flatten(run.now.population.memory)
     memory = [f"memory_{n}" for n in range(len(like))]
     missing = [name for name in (*_ARRAYS, *memory) if name not in arrays]

@@ -9,8 +9,13 @@ from fntg_jax.running.settings import TrainConfig
 
 
 def load(folder: Path) -> TrainConfig:
-    """The configuration of a run folder.  Raises ValueError (one line) when it is none or is
-    damaged."""
+    """The configuration of a run folder.
+
+    Args:
+        folder: of the run.
+
+    Raises ValueError (one line) when it is none or is damaged.
+    """
     path = folder / "config.json"
     try:
         text = read_text(path, "configuration")

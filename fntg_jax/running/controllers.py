@@ -18,7 +18,12 @@ from fntg_jax.running.settings import TrainConfig
 def of_run(run: Run, seed: int | None = None, result: Result | None = None) -> export.Controller:
     """The controller of one seed, or the best of all, with its provenance.
 
-    result: of `run.conclude()`, where the caller has it already.
+    Args:
+        run: completed, of task bioa.
+        seed: which; None for the best.
+        result: of `run.conclude()`, where the caller has it already.
+
+    Raises ValueError in other tasks, and on a seed that the run lacks.
     """
     if run.problem.task is not None:
         raise ValueError(f"a run of task {run.config.task!r} has genes, and no controller")
@@ -63,8 +68,14 @@ def _row(config: TrainConfig, seed: int) -> int:
 
 
 def of_generation(folder: Path, generation: int) -> export.Controller:
-    """The best controller of one generation (from 1), of the seed that params.json comes from.
-    Raises ValueError (one line) where the folder does not hold it."""
+    """The best controller of one generation, of the seed that params.json comes from.
+
+    Args:
+        folder: of a completed run.
+        generation: from 1.
+
+    Raises ValueError (one line) where the folder does not hold it.
+    """
     best = export.load(folder)
     config = config_file.load(folder)
     if not 1 <= generation <= config.generations:
@@ -80,8 +91,14 @@ def of_generation(folder: Path, generation: int) -> export.Controller:
 
 
 def of_seed(folder: Path, seed: int) -> export.Controller:
-    """The final controller of one seed of a completed run.  Raises ValueError (one line) where the
-    folder does not hold it."""
+    """The final controller of one seed of a completed run.
+
+    Args:
+        folder: of the run.
+        seed: one of the run's.
+
+    Raises ValueError (one line) where the folder does not hold it.
+    """
     best = export.load(folder)
     config = config_file.load(folder)
     index = _row(config, seed)

@@ -35,10 +35,17 @@ class Evaluation(NamedTuple):
 def evaluate(
     controller: Controller, world: Any, suite: str, num_scenes: int, seed: int = 0, env: Any = None
 ) -> Evaluation:
-    """Run a controller through `num_scenes` scenes of a suite, drawn from `seed`.
+    """Run a controller through scenes that training never saw: it draws from other keys.
 
-    env: the world's environment, default `world.make` at the controller's own limits and
-    control step.  The suites are held out: training draws from other keys.
+    Args:
+        controller: who drives.
+        world: `envs.base.World`.
+        suite: of scenes.
+        num_scenes: how many.
+        seed: of the scenes.
+        env: the world's environment; None for `environment_for` the controller.
+
+    Raises ValueError on an unknown suite, a wrong number, or too little memory.
     """
     env = environment_for(controller, world) if env is None else env
     scenes = held_out_scenes(world, suite, num_scenes, seed)
@@ -57,13 +64,25 @@ _run = jax.jit(rollout_pairs, static_argnums=0, static_argnames="output")
 
 
 def held_out_suites(world: Any) -> list[str]:
-    """The suites of a world that test: all but the paper's learning set-up."""
+    """The suites of a world that test: all but the paper's learning set-up.
+
+    Args:
+        world: `envs.base.World`.
+    """
     return [name for name in world.suites if name != "paper"]
 
 
 def held_out_scenes(world: Any, suite: str, num_scenes: int, seed: int = 0) -> Any:
-    """`num_scenes` scenes of a suite; asking for more leaves the first ones as they are.
-    Raises ValueError on an unknown suite or number of scenes."""
+    """Scenes of a suite; asking for more leaves the first ones as they are.
+
+    Args:
+        world: `envs.base.World`.
+        suite: one of its suites, with options, or a mix (`registry.get_suite`).
+        num_scenes: how many, from 1.
+        seed: of the scenes, from 0.
+
+    Raises ValueError on an unknown suite or a wrong number.
+    """
     check_scenes(num_scenes)
     if not 0 <= seed < 2**32:
         raise ValueError(f"seed = {seed}: allowed are whole numbers from 0 below 2^32")
@@ -81,6 +100,14 @@ def check_scenes(num_scenes: int) -> None:
 
 
 def environment_for(controller: Controller, world: Any, **options: float) -> Any:
-    """The world at the controller's limits and control step."""
+    """The world's environment at the controller's limits and control step.
+
+    Args:
+        controller: who will drive.
+        world: `envs.base.World`.
+        options: of the world by name, over these.
+
+    Raises ValueError on an unknown option or value.
+    """
     limits = {k: float(v) for k, v in controller.limits._asdict().items()}
     return world.make(**{"dt": controller.control_dt, **limits, **options})

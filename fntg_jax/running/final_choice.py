@@ -59,8 +59,10 @@ class Result(NamedTuple):
 def conclude(evolved: Evolved, show: Callable[[int, int, float], None]) -> Result:
     """Choose and refine, for every seed.
 
-    show: called with the steps of refinement done and wanted, and the best fitness so far (median
-    over seeds).
+    Args:
+        evolved: what evolution came to.
+        show: called with the steps of refinement done and wanted, and the best fitness so far
+            (median over seeds).
     """
     problem, rows = evolved.problem, evolved.rows
     config, task = problem.config, problem.task

@@ -10,7 +10,12 @@ from fntg_jax.running.runner import Result, Run
 
 
 def document(run: Run, result: Result) -> dict[str, Any]:
-    """The best of all seeds: genes with unit and value, fitness, judgement, provenance."""
+    """The best of all seeds: genes with unit and value, fitness, judgement, provenance.
+
+    Args:
+        run: completed, of a task other than bioa.
+        result: of `run.conclude()`.
+    """
     config = run.config
     best = int(np.argmax(result.fitness))
     judged = {name: _number(x[best]) for name, x in (result.judgement or {}).items()}

@@ -22,10 +22,16 @@ _LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 
 
 def join(coordinator: str | None, num_processes: int | None, process_id: int | None) -> None:
-    """Wait for all processes to meet at the coordinator, host:port of process 0.
+    """Wait for all processes to meet.  Before any computation.
 
     What is not given JAX takes from the cluster it detects (Slurm, Open MPI, Kubernetes, TPU).
-    Before any computation.  Raises ValueError (one line) where something is missing or wrong.
+
+    Args:
+        coordinator: host:port of process 0.
+        num_processes: how many there are.
+        process_id: which of them this is, from 0.
+
+    Raises ValueError (one line) where something is missing or wrong.
     """
     if coordinator is not None:
         host, colon, port = coordinator.rpartition(":")
@@ -60,7 +66,13 @@ def is_first() -> bool:
 
 
 def from_first(fn: Callable[[], bytes]) -> bytes:
-    """What fn gives on process 0, on all; its ValueError, too."""
+    """What a function gives on process 0, on all of them.
+
+    Args:
+        fn: called on process 0 alone.
+
+    Raises ValueError on all where it does on process 0.
+    """
     if jax.process_count() == 1:
         return fn()
     from jax.experimental.multihost_utils import broadcast_one_to_all
@@ -80,7 +92,11 @@ def from_first(fn: Callable[[], bytes]) -> bytes:
 
 
 def largest(*values: int) -> tuple[int, ...]:
-    """Of each value, the largest among the processes: what one wants, all do."""
+    """Of each value, the largest among the processes: what one wants, all do.
+
+    Args:
+        values: of this process.
+    """
     if jax.process_count() == 1:
         return values
     from jax.experimental.multihost_utils import process_allgather
@@ -89,7 +105,11 @@ def largest(*values: int) -> tuple[int, ...]:
 
 
 def gather(array: Any) -> np.ndarray:
-    """All of an array that is spread over processes, on each of them."""
+    """All of an array that is spread over processes, on each of them.
+
+    Args:
+        array: of JAX.
+    """
     if jax.process_count() == 1:
         return np.asarray(array)
     from jax.experimental.multihost_utils import process_allgather
@@ -108,7 +128,7 @@ if not text.endswith("done"):
 
 @contextlib.contextmanager
 def together(advice: str) -> Iterator[None]:
-    """When another process is lost, end this one with a clear last line, the advice in it.
+    """When another process is lost, end this one with a clear last line.
 
     A closed connection is an exception: exit status 1.  A host that falls silent, or the loss of
     process 0, is noticed inside JAX (after half a minute at most), which aborts this process
@@ -117,6 +137,9 @@ def together(advice: str) -> Iterator[None]:
     Without it, measured with jax 0.10.2 and one of two idle or busy processes killed: the other
     ends 0.2 to 0.5 s later where process 0 was lost and 28 s later where it was the other one, both
     times by SIGABRT, and the last of some forty lines is an address of a C++ stack.
+
+    Args:
+        advice: in that line, how to go on.
     """
     if jax.process_count() == 1:
         yield

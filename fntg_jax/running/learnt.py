@@ -83,9 +83,16 @@ def learn(
     on_progress: Callable[[Progress], None] | None = None,
     task: Task | None = None,
 ) -> Learnt:
-    """Learn to the end and, where `out` names a folder to be made, write a run folder.
+    """Learn to the end.
 
-    Raises ValueError where that exists already or the configuration does not do.
+    Args:
+        config: of the run.
+        out: folder to be made, for a run folder; None for none.
+        on_progress: called after each chunk of generations.
+        task: what is learnt, where it is not a registered one.
+
+    Raises ValueError where `out` exists already, the configuration does not do, or nothing was
+    learnt (`runner.check_finite`).
     """
     run = runner.start(resolve(config, task))
     if out is not None:

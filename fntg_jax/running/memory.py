@@ -8,9 +8,14 @@ import jax
 
 
 def check(compiled: Any, num_devices: int = 1) -> int:
-    """Bytes that a compiled program needs, arguments and results included, on all of this
-    process's `num_devices` where they share the host's memory.  Raises ValueError (one line)
-    where there is less."""
+    """Bytes that a compiled program needs, arguments and results included.
+
+    Args:
+        compiled: of `jax.jit(...).lower(...).compile()`.
+        num_devices: of this process, where they share the host's memory.
+
+    Raises ValueError (one line) where there is less.
+    """
     found = compiled.memory_analysis()
     if found is None:  # not every back end says
         return 0
@@ -31,7 +36,12 @@ def refuse_beyond(need: int) -> None:
 
 
 def announce(num_bytes: int, say: Callable[[str], None]) -> None:
-    """Say what a program needs where it is much, more than 1 GB."""
+    """Say what a program needs where it is much, more than 1 GB.
+
+    Args:
+        num_bytes: of `check`.
+        say: told a line.
+    """
     if num_bytes > 1e9:
         say(f"this takes about {num_bytes / 1e9:.1f} GB of memory")
 

@@ -23,8 +23,14 @@ def make_mesh(num_seeds: int, blocks: int) -> Mesh:
     """Devices by axes "seed" and "genome".
 
     A generation's trials (genomes x scenes) are shared only among devices that the seeds leave
-    idle, and only where it has a block for each of them (`Problem.blocks`): with less, waiting for
-    each other costs what it saves (the paper's generation, 240 trials, is one block and 2 ms).
+    idle, and only where it has a block for each of them: with less, waiting for each other costs
+    what it saves (the paper's generation, 240 trials, is one block and 2 ms).
+
+    Args:
+        num_seeds: rows that advance together.
+        blocks: of one row's generation (`Problem.blocks`).
+
+    Raises ValueError where a process would have nothing to do.
     """
     devices = np.asarray(jax.devices())
     num = min(num_seeds, len(devices))
@@ -43,8 +49,10 @@ def over_seeds(fn: Callable[..., Any], mesh: Mesh) -> Callable[..., Any]:
     """(shared, rows) -> fn(shared, *row) for each row, the leading axis of the leaves of the
     tuple `rows`: spread over "seed", one after the other on each device.
 
-    What all rows use has to be passed as `shared`: arrays that fn closes over keep a sharding that
-    does not fit inside.
+    Args:
+        fn: what all rows use has to be passed as its first argument: arrays that it closes over
+            keep a sharding that does not fit inside.
+        mesh: of `make_mesh`.
     """
     return jax.shard_map(
         lambda shared, rows: jax.lax.map(lambda row: fn(shared, *row), rows),
@@ -62,25 +70,43 @@ class Rows(NamedTuple):
     num: int
 
     def place(self, values: Any, fn: Callable[[Any], Any] = lambda x: x) -> Any:
-        """fn of values, leaves [num, ...], on the devices of the rows.
+        """Something computed from values, on the devices of the rows.
 
         Every device gets as many rows: the last ones are repeated, computed and dropped.
+
+        Args:
+            values: leaves [num, ...].
+            fn: of all of them, compiled.
         """
         size = self.mesh.shape["seed"]
         row = np.arange(-(-self.num // size) * size) % self.num
         return self._place(jax.tree.map(lambda x: np.asarray(x)[row], values), P("seed"), fn)
 
     def share(self, values: Any) -> Any:
-        """Values that all rows use, on all devices."""
+        """Values that all rows use, on all devices.
+
+        Args:
+            values: a pytree of arrays.
+        """
         return self._place(values, P(), lambda x: x)
 
     def gather(self, values: Any) -> Any:
-        """Leaves of what was placed, or computed from it, as NumPy [num, ...]."""
+        """As NumPy [num, ...].
+
+        Args:
+            values: what was placed, or computed from it.
+        """
         return jax.tree.map(lambda x: hosts.gather(x)[: self.num], values)
 
     def compile(self, program: Any, arguments: tuple) -> Any:
-        """A jitted function compiled for these arguments.  Raises ValueError (one line) where
-        memory will not do."""
+        """A jitted function compiled for its arguments.
+
+        Args:
+            program: of `jax.jit`.
+            arguments: of a call.
+
+        Raises ValueError (one line) where memory will not do.
+        """
         compiled = program.lower(*arguments).compile()
         memory.check(compiled, len(self.mesh.local_devices))
         return compiled

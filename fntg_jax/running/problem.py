@@ -54,7 +54,11 @@ class Problem(NamedTuple):
         return jax.tree.map(np.asarray, found)
 
     def task_of(self, traced: Traced) -> Task:
-        """The task, also inside a compiled program."""
+        """The task, also inside a compiled program.
+
+        Args:
+            traced: of this problem, with scenes.
+        """
         return objective.bioa(self.static, traced) if self.task is None else self.task
 
     @property
@@ -66,7 +70,11 @@ class Problem(NamedTuple):
         return 1 if self.task.shares is None else self.task.shares(population)
 
     def in_units(self, theta: Any) -> Any:
-        """Genes [..., genes] from (-5, 5) to their own ranges."""
+        """Genes from (-5, 5) to their own ranges.
+
+        Args:
+            theta: [..., genes], NumPy's or JAX's.
+        """
         low, high = (np.asarray([getattr(g, n) for g in self.genes]) for n in ("low", "high"))
         if (low == LOW).all() and (high == HIGH).all():
             return theta
@@ -75,7 +83,11 @@ class Problem(NamedTuple):
         return low * (1 - share) + high * share  # so that both ends come out exactly
 
     def from_units(self, values: Any) -> np.ndarray:
-        """The inverse of `in_units`, for float64 NumPy."""
+        """The inverse of `in_units`, float64.
+
+        Args:
+            values: [..., genes], in the genes' units.
+        """
         low, high = (np.asarray([getattr(g, n) for g in self.genes]) for n in ("low", "high"))
         return LOW + (HIGH - LOW) * ((np.asarray(values) - low) / (high - low))
 
@@ -122,7 +134,11 @@ class Problem(NamedTuple):
         )
 
     def variant(self, config: TrainConfig) -> "Problem":
-        """The same problem under a configuration that differs in floats only."""
+        """The same problem under another configuration.
+
+        Args:
+            config: differs in floats only (`program_key`).
+        """
         if config.env_options == self.config.env_options:
             return self._replace(config=config)
         return self._replace(config=config, env=self.world.make(**config.env_options))
@@ -131,7 +147,9 @@ class Problem(NamedTuple):
 def resolve(config: TrainConfig, task: Task | None = None) -> Problem:
     """Check a configuration and look up what it names.
 
-    task: one that has no name in the registry; the configuration then takes its name.
+    Args:
+        config: of a run.
+        task: one that has no name in the registry; the configuration then takes its name.
 
     Raises ValueError: field, value, what is allowed; `registry.MemberError` where the code of a
     world or task cannot be imported.
@@ -167,7 +185,13 @@ def resolve(config: TrainConfig, task: Task | None = None) -> Problem:
 
 
 def check_genes(task: Task) -> None:
-    """Raises ValueError: task, gene, what is allowed."""
+    """Refuse a gene table that cannot be learnt.
+
+    Args:
+        task: whose genes.
+
+    Raises ValueError: task, gene, what is allowed.
+    """
     names = [gene.name for gene in task.genes]
     if not names:
         raise ValueError(f"task {task.name!r} has no genes: allowed are 1 and more")
@@ -182,7 +206,11 @@ def check_genes(task: Task) -> None:
 
 
 def program_key(problem: Problem) -> tuple[Any, ...]:
-    """Problems of equal key run in one compiled program: they differ in traced floats."""
+    """Problems of equal key run in one compiled program: they differ in traced floats.
+
+    Args:
+        problem: of a run.
+    """
     groups = ("env_options", "ga", "fitness", "smooth")
     rest = {n: v for n, v in vars(problem.config).items() if n not in groups}
     leaves, structure = jax.tree.flatten(problem.traced())

@@ -23,8 +23,12 @@ class MemberError(Exception):
 
 @contextlib.contextmanager
 def code_of(what: str, *objects: Any) -> Iterator[None]:
-    """Raise `MemberError` from an exception that passed through the files of these objects
-    (functions, or the classes of what is none)."""
+    """Raise `MemberError` from an exception that passed through somebody's files.
+
+    Args:
+        what: whose code, in words: "world 'mine'".
+        objects: functions, or instances of classes, that lie in these files.
+    """
     try:
         yield
     except (MemberError, Refusal):
@@ -43,30 +47,57 @@ def code_of(what: str, *objects: Any) -> Iterator[None]:
 
 
 def register(group: str, name: str, member: Any) -> None:
-    """Make an object known under a name in this process, over an entry point of that name."""
+    """Make an object known under a name in this process, over an entry point of that name.
+
+    Args:
+        group: WORLDS, TASKS or MATCHES.
+        name: of the member.
+        member: what an entry point would name.
+    """
     _registered[group][name] = member
 
 
 def names(group: str) -> list[str]:
-    """All names known in a group, sorted."""
+    """All names known in a group, sorted.
+
+    Args:
+        group: WORLDS, TASKS or MATCHES.
+    """
     own = {"bioa"} if group == TASKS else set()  # the trainer's own, see `problem.resolve`
     installed = {e.name for e in metadata.entry_points(group=group)}
     return sorted({*own, *_registered[group], *installed})
 
 
 def get_world(name: str) -> World:
-    """The world of that name.  Raises ValueError listing the known ones."""
+    """The world of that name.
+
+    Args:
+        name: of the entry point.
+
+    Raises ValueError listing the known ones.
+    """
     return _get(WORLDS, "env", "worlds", name)
 
 
 def get_match(name: str) -> Any:
-    """The match of that name.  Raises ValueError listing the known ones."""
+    """The match of that name: options by name -> a match.
+
+    Args:
+        name: of the entry point.
+
+    Raises ValueError listing the known ones.
+    """
     return _get(MATCHES, "match", "matches", name)
 
 
 def get_task(name: str) -> Any:
-    """The task's factory, options by name -> `envs.base.Task`.  Raises ValueError listing the known
-    ones."""
+    """The task's factory: options by name -> `envs.base.Task`.
+
+    Args:
+        name: of the entry point.
+
+    Raises ValueError listing the known ones.
+    """
     return _get(TASKS, "task", "tasks", name)
 
 
@@ -86,8 +117,12 @@ def _get(group: str, field: str, words: str, name: str) -> Any:
 
 
 def get_suite(world: World, suite: str) -> Any:
-    """(key, num_scenes) -> scenes, for one suite, with options where the world's suites take some,
-    "blocked/wall=0.1", or a mix "open:2,blocked:3".
+    """(key, num_scenes) -> scenes.
+
+    Args:
+        world: `envs.base.World`.
+        suite: one suite, with options where the world's suites take some, "blocked/wall=0.1", or a
+            mix with shares, "open:2,blocked:3".
 
     Raises ValueError naming the unknown suite or option, or the unusable share.
     """

@@ -44,10 +44,13 @@ FILES = (
 
 
 def create(out: Path, config: TrainConfig) -> Path | None:
-    """Make the folder and write config.json; returns the outermost folder that was not there.
+    """Make the folder and write config.json.
 
-    Raises ValueError where it cannot be made, or is there with more in it than what a process
-    killed at this very point leaves.
+    Args:
+        out: folder, which must not exist or be empty.
+        config: of the run.
+
+    Raises ValueError where it cannot be made.
     """
     with writing(out, "out"):
         if out.is_dir():
@@ -63,7 +66,9 @@ def create(out: Path, config: TrainConfig) -> Path | None:
 def discard(folder: Path, made: Path | None) -> None:
     """Take back what `create` made, where a run did not come to its first checkpoint.
 
-    made: the outermost folder that was not there before.
+    Args:
+        folder: of the run.
+        made: the outermost folder that was not there before; None where all were.
     """
     if hosts.is_first() and not (folder / "checkpoint.npz").exists():
         (folder / "config.json").unlink(missing_ok=True)
@@ -74,15 +79,28 @@ def discard(folder: Path, made: Path | None) -> None:
 
 
 def save_checkpoint(folder: Path, run: Run) -> None:
-    """Write checkpoint.npz atomically."""
+    """Write checkpoint.npz atomically.
+
+    Args:
+        folder: of the run.
+        run: between two chunks.
+
+    Raises OSError.
+    """
     arrays = checkpoint.to_arrays(run)
     if hosts.is_first():
         _write_npz(folder / "checkpoint.npz", arrays)
 
 
 def restore(folder: Path, task: Task | None = None) -> Run:
-    """The run of a folder, at its last checkpoint.  task: what it learns, where that is not a
-    registered one.  Raises ValueError as `config_file.load`."""
+    """The run of a folder, at its last checkpoint.
+
+    Args:
+        folder: of the run.
+        task: what it learns, where that is not a registered one.
+
+    Raises ValueError (one line) where a file is missing or damaged.
+    """
     text = hosts.from_first(
         lambda: json.dumps(dataclasses.asdict(config_file.load(folder))).encode()
     )
@@ -176,7 +194,13 @@ def _strength(result: Result) -> dict[str, np.ndarray]:
 
 
 def load_history(folder: Path) -> History:
-    """The history of a completed or interrupted run.  Raises ValueError as `restore`."""
+    """The history of a completed or interrupted run.
+
+    Args:
+        folder: of the run.
+
+    Raises ValueError as `restore`.
+    """
     run = restore(folder)
     if run.generation == 0:
         raise ValueError(f"{folder}: nothing recorded yet; continue it with --resume")

@@ -104,7 +104,11 @@ class Run:
         return self.problem.config
 
     def restart(self, variants: Sequence[TrainConfig]) -> None:
-        """Back to generation 0, with as many variants as before."""
+        """Back to generation 0.
+
+        Args:
+            variants: as many as before.
+        """
         self.traced, self.now = self._begin(variants)
 
     def _begin(self, variants: Sequence[TrainConfig]) -> tuple[Traced, RunState]:
@@ -203,8 +207,13 @@ class Run:
         return History(*(np.concatenate(x, axis=1) for x in zip(nothing, *self.now.records)))
 
     def conclude(self, show: Callable[[int, int, float], None] = lambda *_: None) -> Result:
-        """The controller of each seed: see `final_choice.Result`.  The same answer however often
-        it is asked, also of a resumed run.  show: see `final_choice.conclude`."""
+        """The controller of each seed: see `final_choice.Result`.
+
+        However often it is asked, also of a resumed run, the answer is the same.
+
+        Args:
+            show: see `final_choice.conclude`.
+        """
         evolved = Evolved(
             self.problem, self.rows, self.now.population, self.traced, self.scenes, self.validation
         )
@@ -243,8 +252,13 @@ def _advance(state, floats, scenes, num, *, mesh, problem):
 
 
 def start(problem: Problem) -> Run:
-    """A run at generation 0, at random or from `config.warm_start`.  Raises ValueError (one line)
-    where that cannot be read or does not fit."""
+    """A run at generation 0, at random or from `config.warm_start`.
+
+    Args:
+        problem: resolved.
+
+    Raises ValueError (one line) where that cannot be read or does not fit.
+    """
     run = Run(problem)
     if problem.config.warm_start:
         first = warmstart.start(problem)
@@ -270,7 +284,12 @@ def train(
 
 
 def complete(run: Run, on_progress: Callable[[Progress], None] | None = None) -> Run:
-    """Run the rest of a run."""
+    """Run the rest of a run.
+
+    Args:
+        run: at any generation.
+        on_progress: called after each chunk of generations.
+    """
     run.compile()
     while not run.done:
         progress = run.advance()
@@ -280,8 +299,14 @@ def complete(run: Run, on_progress: Callable[[Progress], None] | None = None) ->
 
 
 def check_finite(run: Run) -> None:
-    """Raises ValueError (one line) where no genome of any generation had a finite fitness: nothing
-    was learnt, and there is nothing to choose from."""
+    """Refuse a run in which no genome of any generation had a finite fitness: nothing was learnt,
+    and there is nothing to choose from.
+
+    Args:
+        run: completed.
+
+    Raises ValueError (one line).
+    """
     best = run.rows.gather(run.now.population.best_fitness)
     if not np.isfinite(best).any():
         config = run.config
@@ -293,5 +318,13 @@ def check_finite(run: Run) -> None:
 
 
 def decode_history(history: History, config: TrainConfig) -> np.ndarray:
-    """Genes of every generation's best genome, [seed, generation, genes] float32."""
+    """Genes of every generation's best genome.
+
+    Args:
+        history: of a run.
+        config: of the same run.
+
+    Returns:
+        [seed, generation, genes] float32, in (-5, 5).
+    """
     return np.asarray(genome.decode(history.best_bits, config.ga.num_bits, config.ga.gray))

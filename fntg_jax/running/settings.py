@@ -155,6 +155,9 @@ PRESETS = {
 def validate(config: TrainConfig) -> None:
     """Check a configuration's values at the edge; names of members are not looked up here.
 
+    Args:
+        config: of a run.
+
     Raises ValueError: field, value, what is allowed.
     """
     for name, least, most in (
@@ -222,7 +225,10 @@ _LARGEST = 1e30  # of a weight
 
 
 def from_dict(data: Any) -> TrainConfig:
-    """A checked configuration from plain values, nested as `dataclasses.asdict` nests.
+    """A checked configuration from plain values.
+
+    Args:
+        data: nested as `dataclasses.asdict` nests; what is left out has its default.
 
     Raises ValueError: field, value, what is allowed.
     """

@@ -46,8 +46,14 @@ class Table(NamedTuple):
 
 
 def parse_axis(text: str) -> tuple[str, list[Any]]:
-    """ "ga.mutation_rate=0.001,0.01" to name and values.  Raises ValueError (one line) on an
-    unknown axis, an empty list, or a value that is of another type or comes twice."""
+    """An axis out of text: its name and values.
+
+    Args:
+        text: "ga.mutation_rate=0.001,0.01".
+
+    Raises ValueError (one line) on an unknown axis, an empty list, or a value that is of another
+    type or comes twice.
+    """
     name, equals, rest = text.partition("=")
     name = name.strip().replace("-", "_")
     words = [word.strip() for word in rest.split(",")]
@@ -81,12 +87,23 @@ def _kind(name: str) -> type:
 
 
 def grid(axes: dict[str, list[Any]]) -> list[Setting]:
-    """All combinations, the last axis fastest."""
+    """All combinations, the last axis fastest.
+
+    Args:
+        axes: name to values.
+    """
     return [dict(zip(axes, values)) for values in itertools.product(*axes.values())]
 
 
 def apply(base: TrainConfig, setting: Setting) -> TrainConfig:
-    """The configuration of a setting.  Raises ValueError where its values are not allowed."""
+    """The configuration of a setting.
+
+    Args:
+        base: what the setting leaves as it is.
+        setting: axis to value.
+
+    Raises ValueError where its values are not allowed.
+    """
     config = base
     for name, value in setting.items():
         group, _, field = name.rpartition(".")
@@ -104,7 +121,15 @@ def apply(base: TrainConfig, setting: Setting) -> TrainConfig:
 def problems(
     base: TrainConfig, settings: Sequence[Setting], suites: Sequence[str] = ()
 ) -> list[Problem]:
-    """`apply` for all.  Raises ValueError on one that cannot run, or an unknown suite."""
+    """`apply` for all, resolved.
+
+    Args:
+        base: configuration.
+        settings: to compare.
+        suites: of unseen scenes, which every world must have.
+
+    Raises ValueError on one that cannot run, or an unknown suite.
+    """
     found = [resolve(apply(base, s)) for s in settings]
     for problem in found:
         known = problem.world.suites
@@ -115,7 +140,11 @@ def problems(
 
 
 def programs(problems: Sequence[Problem]) -> list[list[int]]:
-    """Which settings share a compiled program: their indices, in order."""
+    """Which settings share a compiled program: their indices, in order.
+
+    Args:
+        problems: of the settings.
+    """
     keys: list[Any] = []
     found: list[list[int]] = []
     for n, problem in enumerate(problems):
@@ -137,9 +166,16 @@ def run(
 ) -> Table:
     """Learn every setting with all of base's seeds, and judge the controllers on unseen scenes.
 
-    say: is told what happens, in lines.  progress: of a `Run`, a context manager that gives a
-    function to call with each new `runner.Progress`.  Raises ValueError (one line) before anything
-    is computed.
+    Args:
+        base: configuration, and the seeds.
+        settings: to compare.
+        suites: of unseen scenes to judge on.
+        num_scenes: of each.
+        say: is told what happens, in lines.
+        progress: of a `Run`, a context manager that gives a function to call with each new
+            `runner.Progress`.
+
+    Raises ValueError (one line) before anything is computed.
     """
     found = problems(base, settings, suites)
     groups = programs(found)

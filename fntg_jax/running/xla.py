@@ -28,6 +28,9 @@ def configure(num_cpu_devices: int = 1) -> None:
 
     Flags that the user has set in XLA_FLAGS stay; FNTG_XLA_FLAGS=off leaves all alone.
     FNTG_CACHE=off switches the cache off; JAX_COMPILATION_CACHE_DIR moves it.
+
+    Args:
+        num_cpu_devices: that JAX shall have.
     """
     if os.environ.get("FNTG_XLA_FLAGS") != "off":
         flags = os.environ.get("XLA_FLAGS", "")

@@ -18,7 +18,11 @@ MOST = 12  # trials shown of a suite
 
 
 def reasons(outcome: Any) -> list[str]:
-    """Why one trial failed, in words with the numbers; empty where it succeeded."""
+    """Why one trial failed, in words with the numbers; empty where it succeeded.
+
+    Args:
+        outcome: `rollout.Outcome` of one trial, NumPy.
+    """
     parts, found = fitness.success(outcome), []
     if outcome.failed:
         found.append("fell")
@@ -41,8 +45,17 @@ def picture(
 ) -> Path:
     """The first failed trials of every suite from above, PNG and PDF; returns the PNG's path.
 
-    results: of `evaluation.evaluate` in `env`.  Trials come in the order of their scenes, at most
-    `most` a suite, and carry the number that `fntg replay --scene` takes.
+    Trials come in the order of their scenes and carry the number that `fntg replay --scene` takes.
+
+    Args:
+        controller: who drove.
+        world: `envs.base.World`.
+        env: that the trials ran in.
+        results: of `evaluation.evaluate` in `env`.
+        path: file to write, and a PDF beside it.
+        most: trials of a suite.
+
+    Raises OSError.
     """
     chosen = [(r, np.flatnonzero(~r.success)[:most]) for r in results]
     num = sum(len(failed) for _, failed in chosen)

@@ -48,8 +48,16 @@ def shoot(
 ) -> list[Shot]:
     """One shot for each held-out scene, numbered as `replay.record` does.
 
-    window: they will be viewed, not drawn.  Raises ValueError on an unknown suite or a negative
-    scene, and where the world cannot draw.
+    Args:
+        title: of the shots.
+        controller: who drives.
+        world: `envs.base.World` that can draw itself.
+        suite: of scenes.
+        indices: numbers of the scenes.
+        seed: of the scenes.
+        window: they will be viewed, not drawn.
+
+    Raises ValueError on an unknown suite or a negative scene, and where the world cannot draw.
     """
     check_scenes(indices)
     scenes = held_out_scenes(world, suite, max(indices) + 1, seed)
@@ -77,10 +85,15 @@ def shoot(
 
 
 def animation(shots: list[Shot], image_format: str, width: int = 0) -> tuple[bytes, list[bytes]]:
-    """The shots side by side in real time, at their end how they went, and key frames as PNG.
+    """The shots side by side in real time, at their end how they went.
 
-    image_format: GIF or WEBP.  width: of the whole picture, pixels, 0 for 400 of one shot and 320
-    of each of several.
+    Args:
+        shots: of `shoot`.
+        image_format: GIF or WEBP.
+        width: of the whole picture, pixels; 0 for 400 of one shot and 320 of each of several.
+
+    Returns:
+        The animation, and key frames as PNG.
     """
     from PIL import Image, ImageDraw
 

@@ -12,7 +12,15 @@ _RADIUS = 2.4477  # of an ellipse that holds 95 % of a Gaussian, in standard dev
 
 
 def ellipse(covariance: np.ndarray, num_points: int = 48) -> np.ndarray:
-    """Points [num_points, 2] of the ellipse that holds 95 % of a Gaussian of covariance [2, 2]."""
+    """The ellipse that holds 95 % of a Gaussian.
+
+    Args:
+        covariance: [2, 2], m^2.
+        num_points: of its outline.
+
+    Returns:
+        [num_points, 2], m from its middle.
+    """
     values, axes = np.linalg.eigh(covariance)
     angle = np.linspace(0, 2 * np.pi, num_points)
     circle = np.stack([np.cos(angle), np.sin(angle)])
@@ -22,10 +30,17 @@ def ellipse(covariance: np.ndarray, num_points: int = 48) -> np.ndarray:
 def plot(
     poses: Poses, landmarks: dict[str, tuple[float, float]], truth: np.ndarray | None, path: Path
 ) -> Path:
-    """The estimated path, ellipses of 95 %, landmarks, and the true path (truth [N, 4]) if known.
+    """The estimated path, ellipses of 95 %, landmarks, and the true path if known.
 
-    Where the robot is more likely lost than not nothing is drawn.  Writes a PNG and a PDF beside
-    it; returns the PNG's path.
+    Where the robot is more likely lost than not nothing is drawn.  Returns the PNG's path.
+
+    Args:
+        poses: of `localize.localize`.
+        landmarks: name to x, y, m.
+        truth: [N, 4]: time (s), x, y (m), heading (rad); None where it is not known.
+        path: file to write, and a PDF beside it.
+
+    Raises OSError.
     """
     figure, axes = plots.new_grid(1, 1, 7.5, 5.2)
     axis = axes[0, 0]

@@ -28,10 +28,17 @@ _NEAR = 0.1  # m
 
 
 def memberships(controllers: list[tuple[str, Controller]], field: Any, path: str | Path) -> Path:
-    """Membership functions over what a field can hold; writes PNG and PDF.
+    """Membership functions over what a field can hold; returns the PNG's path.
 
-    controllers: (title, controller).  Solid: share of each label in its family (what the
-    weighted average uses); dashed: the paper's sigmoids themselves.
+    Solid: share of each label in its family (what the weighted average uses); dashed: the paper's
+    sigmoids themselves.
+
+    Args:
+        controllers: (title, controller), side by side on the same scales.
+        field: `envs.base.Field`, for the ranges.
+        path: file to write, and a PDF beside it.
+
+    Raises OSError.
     """
     figure, axes = new_grid(4, len(controllers), 3.6 * len(controllers) + 0.4, 8.6)
     for column, (title, controller) in zip(axes.T, controllers):
@@ -63,9 +70,14 @@ def memberships(controllers: list[tuple[str, Controller]], field: Any, path: str
 
 
 def surfaces(controllers: list[tuple[str, Controller]], field: Any, path: str | Path) -> Path:
-    """v and omega over (d_B, theta_B), without and with an obstacle; writes PNG and PDF.
+    """v and omega over (d_B, theta_B), without and with an obstacle; returns the PNG's path.
 
-    The axis of d_B is that of its logarithm from 0.1 m on: near the ball is where things happen.
+    Args:
+        controllers: (title, controller), side by side on the same scales.
+        field: `envs.base.Field`, for the ranges.
+        path: file to write, and a PDF beside it.
+
+    Raises OSError.
     """
     import matplotlib
 

@@ -42,7 +42,12 @@ def _new(width: float, height: float, rows: int = 1):
 
 
 def new_figure(width: float, height: float) -> Any:
-    """An empty figure (inches) that pyplot does not know: the caller's back end stays as it is."""
+    """An empty figure that pyplot does not know: the caller's back end stays as it is.
+
+    Args:
+        width: inches.
+        height: inches.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -58,14 +63,28 @@ def _style() -> Any:
 
 
 def new_grid(rows: int, columns: int, width: float, height: float) -> tuple[Any, Any]:
-    """A figure (inches) and its panels [rows, columns], with no scales shared."""
+    """A figure and its panels [rows, columns], with no scales shared.
+
+    Args:
+        rows: of panels.
+        columns: of panels.
+        width: inches.
+        height: inches.
+    """
     with _style():
         figure = new_figure(width, height)
         return figure, figure.subplots(rows, columns, squeeze=False)
 
 
 def save(figure: Any, path: str | Path) -> Path:
-    """Write `path` as PNG and as PDF, atomically, return the PNG's path.  Raises OSError."""
+    """Write a figure as PNG and as PDF, atomically; returns the PNG's path.
+
+    Args:
+        figure: of matplotlib.
+        path: of either; the suffix is replaced.
+
+    Raises OSError.
+    """
     path = Path(path)
     for suffix in (".pdf", ".png"):
         drawn = io.BytesIO()
@@ -81,13 +100,19 @@ def fitness_curves(
     refined: np.ndarray | None = None,
     strength: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Path:
-    """Fig. 5: best ("EC max") and average ("EC av") fitness by generation.
+    """Fig. 5: best ("EC max") and average ("EC av") fitness by generation; returns the PNG's path.
 
-    history: best, mean [seed, generation].  Single runs as thin lines; with several seeds the
-    median and its 95 % bootstrap band.  refined: [seed, n] fitness on validation scenes in the
-    course of the refinement, in a panel of its own: evolution's is on each generation's scenes.
-    strength: generations [n] and their champions' scores against fixed opponents [seed, n], where
-    fitness is relative.
+    Single runs as thin lines; with several seeds the median and its 95 % bootstrap band.
+
+    Args:
+        history: anything with best and mean, [seed, generation].
+        path: file to write, and a PDF beside it.
+        refined: [seed, n] fitness on validation scenes in the course of the refinement, in a panel
+            of its own: evolution's is on each generation's scenes; None without.
+        strength: generations [n] and their champions' scores against fixed opponents [seed, n],
+            where fitness is relative; None elsewhere.
+
+    Raises OSError.
     """
     with _style():
         figure = new_figure(5.2 if refined is None else 7.8, 4.0)
@@ -142,7 +167,12 @@ def fitness_curves(
 
 
 def draw_field(axes, field: Any) -> None:
-    """The field from above, to scale, with its goals."""
+    """The field from above, to scale, with its goals.
+
+    Args:
+        axes: of matplotlib.
+        field: `envs.base.Field`.
+    """
     length, width = field.length, field.width
     axes.plot(
         np.array([-1, 1, 1, -1, -1]) * length / 2,
@@ -162,8 +192,12 @@ def draw_field(axes, field: Any) -> None:
 
 
 def draw_discs(axes, discs: np.ndarray) -> None:
-    """Obstacles [K, (x, y, radius)], each with the ring of 0.145 m that the robot's centre must
-    not enter."""
+    """Obstacles, each with the ring of 0.145 m that the robot's centre must not enter.
+
+    Args:
+        axes: of matplotlib.
+        discs: [K, 3]: x, y, radius, m.
+    """
     from matplotlib.patches import Circle
 
     for x, y, radius in discs:
@@ -174,7 +208,13 @@ def draw_discs(axes, discs: np.ndarray) -> None:
 
 
 def draw_path(axes, robot: np.ndarray, colour: str) -> None:
-    """A path [N, (x, y, heading)] with its start pose as an arrow and its end as a square."""
+    """A path with its start pose as an arrow and its end as a square.
+
+    Args:
+        axes: of matplotlib.
+        robot: [N, 3]: x, y (m), heading (rad).
+        colour: of matplotlib.
+    """
     axes.plot(robot[:, 0], robot[:, 1], color=colour, linewidth=1.6)
     x, y, heading = robot[0]
     axes.annotate(
@@ -188,7 +228,12 @@ def draw_path(axes, robot: np.ndarray, colour: str) -> None:
 
 
 def draw_ball(axes, ball: np.ndarray) -> None:
-    """The ball [N, (x, y)] where it ends up, an asterisk as in the paper, and its way there."""
+    """The ball where it ends up, an asterisk as in the paper, and its way there.
+
+    Args:
+        axes: of matplotlib.
+        ball: [N, 2]: x, y, m.
+    """
     if len(np.unique(ball, axis=0)) > 1:
         axes.plot(ball[:, 0], ball[:, 1], color="black", linestyle=":", linewidth=0.8)
     axes.plot(
@@ -227,7 +272,16 @@ def explain(figure: Any) -> None:
 
 
 def trajectories(trials: Any, field: Any, path: str | Path, title: str = "") -> Path:
-    """Fig. 6 and 7: paths on the drawn field.  trials: batched `rollout.Trajectory`."""
+    """Fig. 6 and 7: paths on the drawn field; returns the PNG's path.
+
+    Args:
+        trials: batched `rollout.Trajectory`.
+        field: `envs.base.Field`.
+        path: file to write, and a PDF beside it.
+        title: above it.
+
+    Raises OSError.
+    """
     figure, axes = _new(5.6, 4.0)
     draw_field(axes, field)
     obstacles = np.asarray(trials.snapshot.obstacles)
@@ -241,7 +295,17 @@ def trajectories(trials: Any, field: Any, path: str | Path, title: str = "") -> 
 
 
 def velocities(trial: Any, limits: Any, dt: float, path: str | Path, title: str = "") -> Path:
-    """Fig. 8: linear (8a) and angular (8b) velocity of one trial over time."""
+    """Fig. 8: linear (8a) and angular (8b) velocity of one trial over time; returns the PNG's path.
+
+    Args:
+        trial: `rollout.Trajectory`, not batched.
+        limits: anything with v_min, v_max (m/s) and omega_max (rad/s).
+        dt: control step, s.
+        path: file to write, and a PDF beside it.
+        title: above it.
+
+    Raises OSError.
+    """
     figure, (top, bottom) = _new(5.2, 4.2, rows=2)
     v, omega = np.asarray(trial.command.v), np.asarray(trial.command.omega)
     time = np.arange(len(v)) * dt

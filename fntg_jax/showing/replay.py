@@ -45,10 +45,20 @@ def record(
 ) -> list[dict[str, Any]]:
     """One panel for each held-out scene (numbered from 0 as `fntg evaluate` draws them).
 
-    A panel: title, scene, result (words), dt (s), field (m); over the time steps robot
-    [x, y, heading], ball [x, y] and obstacles [[x, y, radius], ...] (m, rad; a list of one entry
-    stands still); signals, inputs and bars, each with its name and values; in the kinematic world
-    play, by which the page simulates again what one drags.
+    Args:
+        title: of the panels.
+        controller: who drives.
+        world: `envs.base.World`.
+        suite: of scenes.
+        indices: numbers of the scenes.
+        seed: of the scenes.
+
+    Returns:
+        Panels: title, scene, result (words), dt (s), field (m); over the time steps robot
+        [x, y, heading], ball [x, y] and obstacles [[x, y, radius], ...] (m, rad; a list of one
+        entry stands still); signals, inputs and bars, each with its name and values; in the
+        kinematic world play, by which the page simulates again what one drags.
+
     Raises ValueError on an unknown suite or a negative scene.
     """
     check_scenes(indices)
@@ -102,8 +112,15 @@ def _play(controller: Controller, env: Any, scene: Any) -> dict[str, Any]:
 
 
 def plain_scene(scene: Any) -> dict[str, list]:
-    """One scene as the page takes it: start [x, y, heading], ball [x, y, vx, vy], obstacles
-    [[x, y, radius, vx, vy], ...]."""
+    """One scene as the page takes it.
+
+    Args:
+        scene: `envs.base.Scene`, not batched.
+
+    Returns:
+        start [x, y, heading], ball [x, y, vx, vy], obstacles [[x, y, radius, vx, vy], ...]; m, rad
+        and m/s.
+    """
     still = np.zeros(2)
     ball = still if scene.ball_velocity is None else scene.ball_velocity
     walk = scene.obstacle_velocity
@@ -116,7 +133,14 @@ def plain_scene(scene: Any) -> dict[str, list]:
 
 
 def choice(world: Any, suite: str, seed: int = 0, num: int = 24) -> list[dict[str, Any]]:
-    """The first scenes of a suite with their names, for the page's scene picker."""
+    """The first scenes of a suite with their names, for the page's scene picker.
+
+    Args:
+        world: `envs.base.World`.
+        suite: of scenes.
+        seed: of the scenes.
+        num: how many.
+    """
     scenes = jax.tree.map(np.asarray, held_out_scenes(world, suite, num, seed))
     return [
         {"name": f"{suite} scene {n}", **plain_scene(jax.tree.map(lambda x, n=n: x[n], scenes))}
@@ -130,7 +154,11 @@ def _record(params, scenes, env, output):
 
 
 def check_scenes(indices: tuple[int, ...]) -> None:
-    """Raises ValueError unless these are numbers of scenes."""
+    """Raises ValueError unless these are numbers of scenes.
+
+    Args:
+        indices: from 0, at least one.
+    """
     if not indices or min(indices) < 0 or max(indices) > 100_000:
         raise ValueError(f"scene = {list(indices)}: allowed are whole numbers from 0 to 100000")
 
@@ -142,7 +170,11 @@ def _over_time(values: np.ndarray) -> list:
 
 
 def describe_result(outcome: Any) -> str:
-    """How a trial went, in words.  outcome: `rollout.Outcome` of one trial."""
+    """How a trial went, in words.
+
+    Args:
+        outcome: `rollout.Outcome` of one trial.
+    """
     parts = fitness.success(outcome)
     distance, clearance = float(outcome.distance[1]), float(outcome.clearance)
     speed = float(np.mean(np.abs(outcome.v)))
@@ -204,8 +236,15 @@ def _short(name: str) -> str:
 def page(
     panels: list[dict[str, Any]], title: str, scenes: list[dict[str, Any]] | None = None
 ) -> str:
-    """The HTML page; scenes: what its picker offers (`choice`).  Raises ValueError when it would
-    exceed `MAX_BYTES`."""
+    """The HTML page.
+
+    Args:
+        panels: of `record`, side by side.
+        title: of the page.
+        scenes: what its picker offers (`choice`); None for nothing.
+
+    Raises ValueError when it would exceed `MAX_BYTES`.
+    """
     template = resources.files("fntg_jax.showing").joinpath("replay.html").read_text("utf-8")
     parts = {
         "@TITLE@": html.escape(title.encode("utf-8", "replace").decode()),
@@ -226,7 +265,10 @@ _STRIDE = 2  # every second control step is a frame
 def animation(panels: list[dict[str, Any]], image_format: str, width: int = 0) -> bytes:
     """The panels as an animated picture, which ends with how the trials went.
 
-    image_format: GIF or WEBP.  width: pixels, 0 for 420 a column.
+    Args:
+        panels: of `record`, side by side.
+        image_format: GIF or WEBP.
+        width: pixels; 0 for 420 a column.
     """
     from PIL import Image
 
@@ -256,10 +298,12 @@ MOST_FILM_BYTES = 3_000_000
 
 
 def encode(frames: list[Any], dt: float, image_format: str) -> bytes:
-    """PIL pictures as an endless animation, dt seconds each, the last one two seconds.
+    """Pictures as an endless animation.
 
-    image_format: GIF or WEBP.  What would be over 3 MB has fewer pictures a second, and where that
-    does not do smaller ones.
+    Args:
+        frames: PIL pictures.
+        dt: s, of each.
+        image_format: GIF or WEBP.
     """
     for stride, scale in ((1, 1.0), (2, 1.0), (3, 1.0), (3, 0.75), (4, 0.5), (6, 0.35)):
         data = _encoded([*frames[:-1:stride], frames[-1]], dt * stride, image_format, scale)

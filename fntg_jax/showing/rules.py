@@ -51,7 +51,15 @@ class RuleBase(NamedTuple):
 
 
 def rule_strengths(controller: Controller, observation: Any) -> jax.Array:
-    """Share of every rule in the firing, [..., rules], for observations with leaves [...]."""
+    """Share of every rule in the firing.
+
+    Args:
+        controller: whose rules.
+        observation: d_B, d_O (m), theta_B, theta_O (rad), leaves [...].
+
+    Returns:
+        [..., rules], from 0 to 1, in the order of `layout.rules`.
+    """
     params = layout.Params(*(jnp.asarray(x, jnp.float32) for x in controller.params))
     return _strengths(params, observation, tuple(_rules(controller)))
 
@@ -81,7 +89,14 @@ def _rules(controller: Controller) -> list[tuple[int, ...]]:
 
 
 def rule_outputs(controller: Controller) -> np.ndarray:
-    """What each rule alone would command before clipping, [rules, 2], m/s and rad/s."""
+    """What each rule alone would command before clipping.
+
+    Args:
+        controller: whose rules.
+
+    Returns:
+        [rules, 2]: m/s and rad/s.
+    """
     p = controller.params
     gains = network.output_gains(controller.limits, controller.output)
     rows = [(r if len(r) == 4 else (*r, 0)) for r in _rules(controller)]
@@ -90,7 +105,12 @@ def rule_outputs(controller: Controller) -> np.ndarray:
 
 
 def rules_of(controller: Controller, labels: dict[str, tuple[Label, ...]]) -> list[Rule]:
-    """The rules with their labels and commands; their firing is not known yet (NaN)."""
+    """The rules with their labels and commands; their firing is not known yet (NaN).
+
+    Args:
+        controller: whose rules.
+        labels: of `labels.describe_labels`, by family.
+    """
     return [
         Rule(
             "".join(str(n + 1) for n in index),
@@ -106,6 +126,13 @@ def rule_base(
     controller: Controller, world: Any, suite: str = "blocked", num_scenes: int = 200, seed: int = 0
 ) -> RuleBase:
     """Labels, commands, and firing over all control steps of a suite's held-out scenes.
+
+    Args:
+        controller: whose rules.
+        world: `envs.base.World`.
+        suite: of scenes.
+        num_scenes: how many, from 1.
+        seed: of the scenes.
 
     Raises ValueError on an unknown suite or fewer than one scene.
     """
@@ -125,7 +152,12 @@ def rule_base(
 
 
 def sentence(rule: Rule, limits: Limits) -> str:
-    """The rule as one English sentence."""
+    """The rule as one English sentence.
+
+    Args:
+        rule: with labels and command.
+        limits: speeds that a command is clipped to, m/s and rad/s.
+    """
     distance, near, direction = (_phrase(label.name) for label in rule.labels[:3])
     side = ""
     if len(rule.labels) == 4:
@@ -148,7 +180,11 @@ def _phrase(name: str) -> str:
 
 
 def as_text(base: RuleBase) -> str:
-    """For a terminal: labels, notes, and one sentence a rule with its share of the firing."""
+    """For a terminal: labels, notes, and one sentence a rule with its share of the firing.
+
+    Args:
+        base: of `rule_base`.
+    """
     out = ["labels, and where each has over half of its family's weight on the field:"]
     for labels in base.labels.values():
         out += [f"  {x.symbol}  {x.name:18s} {x.where}" for x in labels]
@@ -165,7 +201,11 @@ def as_text(base: RuleBase) -> str:
 
 
 def as_markdown(base: RuleBase) -> str:
-    """Two tables."""
+    """Two tables.
+
+    Args:
+        base: of `rule_base`.
+    """
     out = ["| label | means | where |", "|---|---|---|"]
     out += [f"| {x.symbol} | {x.name} | {x.where} |" for f in base.labels.values() for x in f]
     out += ["", *(f"Note: {note}.\n" for note in base.notes)]
@@ -184,7 +224,11 @@ def as_markdown(base: RuleBase) -> str:
 
 
 def as_json(base: RuleBase) -> str:
-    """The same as an object; shares in [0, 1], speeds in m/s and rad/s."""
+    """The same as an object; shares in [0, 1], speeds in m/s and rad/s.
+
+    Args:
+        base: of `rule_base`.
+    """
     document = {
         "suite": base.suite,
         "scenes": base.num_scenes,
@@ -204,7 +248,11 @@ def as_json(base: RuleBase) -> str:
 
 
 def as_csv(base: RuleBase) -> str:
-    """One line a rule; shares in [0, 1]."""
+    """One line a rule; shares in [0, 1].
+
+    Args:
+        base: of `rule_base`.
+    """
     names = ("ball_distance", "obstacle_distance", "ball_direction", "obstacle_side")
     rows: list[Any] = []
     for r in base.rules:
@@ -220,7 +268,11 @@ LEGEND = f"dead: never over {100 * DEAD:.0f} %, dominant: over {100 * DOMINANT:.
 
 
 def clipping(base: RuleBase) -> str:
-    """How the rules' values become a command, in words."""
+    """How the rules' values become a command, in words.
+
+    Args:
+        base: of `rule_base`.
+    """
     limits = base.limits
     return (
         "A command is the firing-weighted average of these values (biases included), then clipped "

@@ -13,8 +13,15 @@ from fntg_jax.showing.plots import BLUE, ORANGE, RC
 
 
 def measure(table: Table) -> tuple[str, np.ndarray]:
-    """What settings are compared by [setting, seed]: the mean success over the suites, in
-    per cent, where scenes were asked for; else the fitness."""
+    """What settings are compared by: the mean success over the suites, in per cent, where scenes
+    were asked for; else the fitness.
+
+    Args:
+        table: of `sweep.run`.
+
+    Returns:
+        Its name, and values [setting, seed].
+    """
     if table.success:
         return "success (%)", 100 * np.mean(list(table.success.values()), axis=0)
     return "fitness F", table.best
@@ -22,7 +29,14 @@ def measure(table: Table) -> tuple[str, np.ndarray]:
 
 def write_csv(table: Table, first_seed: int, path: Path) -> None:
     """One row for each setting and seed: its values, seed, best, mean, success by suite.
-    Raises OSError."""
+
+    Args:
+        table: of `sweep.run`.
+        first_seed: of the seeds.
+        path: file to write.
+
+    Raises OSError.
+    """
     names = list(table.settings[0])
     header = [*names, "seed", "best", "mean", *(f"success_{s}" for s in table.success)]
     rows = []
@@ -36,7 +50,11 @@ def write_csv(table: Table, first_seed: int, path: Path) -> None:
 
 def leaderboard(table: Table) -> str:
     """Settings by their median over seeds, with quartiles and the median's 95 % bootstrap
-    interval."""
+    interval.
+
+    Args:
+        table: of `sweep.run`.
+    """
     label, values = measure(table)
     low, median, high = bootstrap_median(values.T)
     quartiles = np.percentile(values, [25, 75], axis=1)
@@ -61,13 +79,24 @@ def leaderboard(table: Table) -> str:
 
 
 def redefines(axis: str) -> bool:
-    """Whether the fitness of one value cannot be compared with that of another."""
+    """Whether the fitness of one value cannot be compared with that of another.
+
+    Args:
+        axis: of a sweep.
+    """
     scenes = ("env", "objective", "suite", "num_scenes", "scene_pool")
     return axis in scenes or axis.partition(".")[0] in ("env", "fitness", "smooth")
 
 
 def plot(table: Table, path: Path) -> Path | None:
-    """PNG and PDF: a heat map of medians for two axes, a line for one; None for more."""
+    """PNG and PDF: a heat map of medians for two axes, a line for one; None for more.
+
+    Args:
+        table: of `sweep.run`.
+        path: file to write.
+
+    Raises OSError.
+    """
     names = [n for n in table.settings[0] if len({s[n] for s in table.settings}) > 1]
     if not names or len(names) > 2:
         return None
@@ -78,7 +107,15 @@ def plot(table: Table, path: Path) -> Path | None:
 
 
 def heat_map(table: Table, names: list[str], path: Path) -> Path:
-    """Medians over seeds by two axes, the first upwards, each cell with its number."""
+    """Medians over seeds by two axes, the first upwards, each cell with its number.
+
+    Args:
+        table: of `sweep.run`.
+        names: of the two axes.
+        path: file to write, and a PDF beside it.
+
+    Raises OSError.
+    """
     label, values = measure(table)
     columns, rows = names[1], names[0]
     xs = list(dict.fromkeys(s[columns] for s in table.settings))
@@ -106,7 +143,12 @@ def heat_map(table: Table, names: list[str], path: Path) -> Path:
 def line(table: Table, name: str, path: Path) -> Path:
     """Seeds as dots, their median with its 95 % bootstrap interval, setting beside setting.
 
-    name: the axis; "" where settings differ in several, which are then all written out.
+    Args:
+        table: of `sweep.run`.
+        name: the axis; "" where settings differ in several, which are then all written out.
+        path: file to write, and a PDF beside it.
+
+    Raises OSError.
     """
     label, values = measure(table)
     low, median, high = bootstrap_median(values.T)
