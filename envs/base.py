@@ -293,7 +293,8 @@ class World(NamedTuple):
 
     make: options by name (floats) -> Environment; ValueError on an unknown name or value.
     suites: name -> (key, num_scenes) -> Scene.  mix: ((suite, share), ...) -> the same.
-    field: its map, for pictures.
+    field: its map, for pictures.  footprint: length and width of the robot, m, for pictures
+    (default: ERS-210).
     film: (environment, batched scenes, observation -> command, whether in a window) -> Film, or
     None; ValueError at once where nothing can be drawn.
     differentiable: whether a gradient through its trials is worth following.
@@ -305,6 +306,7 @@ class World(NamedTuple):
     field: Field
     film: Callable[[Any, Scene, Callable[[Any], Any], bool], Film] | None = None
     differentiable: bool = True
+    footprint: tuple[float, float] = (0.289, 0.152)
 
 
 class Gene(NamedTuple):
@@ -380,7 +382,7 @@ _ARCTAN = (
 )
 
 
-def arctan(t: Scalar) -> Scalar:
+def arctan(t: Any) -> Any:
     """Arctangent in rad as a polynomial, which XLA vectorises on a CPU (`jnp.arctan2` it does not);
     error below 3.8e-8 rad, and the rounding of float32.
 

@@ -24,9 +24,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from envs.base import Command, Scene
+from envs.base import Command, Environment, Scene
 from fntg_jax.learning.fitness import success
-from fntg_jax.learning.rollout import SAMPLE_STEPS, Outcome
+from fntg_jax.learning.rollout import EPISODE_STEPS, SAMPLE_STEPS, Outcome
 from fntg_jax.running import registry
 
 try:
@@ -40,7 +40,6 @@ except ModuleNotFoundError as error:
         "fntg_jax.gym needs Gymnasium: pip install 'fntg-jax[gym]'", name="gymnasium"
     ) from None
 
-EPISODE_STEPS = SAMPLE_STEPS[-1]
 _PROGRESS, _STOP, _CLEARANCE, _FALL = 1.3, 0.7 / 50, 1.0, 30.0
 _NEAR, _STILL, _GATE, _MARGIN = 0.05, 0.01, 0.4, 0.16  # m, m/s, m, m
 _FAR = 1000.0  # m: further than any episode goes
@@ -93,7 +92,7 @@ def action_of(v: Any, omega: Any, limits: Any) -> np.ndarray:
     return np.stack([forward, np.asarray(omega) / limits.omega_max], axis=-1).astype(np.float32)
 
 
-def _reset(env: Any, scene: Scene) -> tuple[_Episode, Any]:
+def _reset(env: Environment, scene: Scene) -> tuple[_Episode, Any]:
     world = env.reset(scene)
     zeros = jnp.zeros(len(SAMPLE_STEPS))
     nothing = Outcome(
@@ -102,7 +101,7 @@ def _reset(env: Any, scene: Scene) -> tuple[_Episode, Any]:
     return _Episode(world, jnp.zeros((), jnp.int32), nothing), jnp.stack(env.observe(world))
 
 
-def _step(env: Any, episode: _Episode, action: Any) -> tuple[_Episode, _Step]:
+def _step(env: Environment, episode: _Episode, action: Any) -> tuple[_Episode, _Step]:
     command = command_of(action, env.limits)
     before = env.measure(episode.world)
     world = env.step(episode.world, command)
@@ -151,7 +150,7 @@ class Bioa(gymnasium.Env):
     metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's spelling)
     render_mode = None
 
-    def __init__(self, env: Any, scenes: Scene):
+    def __init__(self, env: Environment, scenes: Scene):
         self.env, self.scenes = env, scenes
         self.observation_space, self.action_space = _spaces()
         self._num_scenes = len(scenes.start)
@@ -195,7 +194,7 @@ class BioaVector(VectorEnv):
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
     render_mode = None
 
-    def __init__(self, env: Any, scenes: Scene, num_envs: int):
+    def __init__(self, env: Environment, scenes: Scene, num_envs: int):
         if num_envs < 1:
             raise ValueError(f"num_envs = {num_envs}: allowed are whole numbers from 1")
         self.env, self.scenes, self.num_envs = env, scenes, num_envs

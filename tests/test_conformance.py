@@ -29,12 +29,10 @@ def test_worlds(name):
     assert wrong(conformance.world(registry.get_world(name))) == []
 
 
-def test_matches():
-    match = registry.get_match("soccer")()
-    assert wrong(conformance.match(match, 4)) == []
-    forgetful = Forgetful(players=1)
-    found = [check.what for check in wrong(conformance.match(forgetful, 4))]
-    assert "another seed, another match" in found and "goals start at 0 and do not fall" in found
+@pytest.mark.slow
+@pytest.mark.parametrize("name", registry.names(registry.MATCHES))
+def test_matches(name):
+    assert wrong(conformance.match(registry.get_match(name)())) == []
 
 
 class Forgetful(Match):
@@ -45,6 +43,12 @@ class Forgetful(Match):
 
     def score(self, state):
         return state.statistics.goals - state.game.tick
+
+
+@pytest.mark.slow
+def test_matches_that_break_a_law_are_found_out():
+    found = [check.what for check in wrong(conformance.match(Forgetful(players=1), 4))]
+    assert found == ["another seed, another match", "goals start at 0 and do not fall"]
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from envs.base import Environment, World
 from fntg_jax.commands.cli import load_controller, parse, say
 from fntg_jax.running import registry, xla
 
@@ -154,7 +155,7 @@ def _refined(controller: Any, refined: Any, options: RefineOptions) -> Any:
     )
 
 
-def _compare(old: Any, new: Any, world: Any, env: Any) -> None:
+def _compare(old: Any, new: Any, world: World, env: Environment) -> None:
     """Success on held-out scenes, from which nothing was learnt or chosen."""
     from fntg_jax.running import evaluation
 

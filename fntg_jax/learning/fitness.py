@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from fntg_jax.learning.bounds import bounded
 from fntg_jax.learning.rollout import Outcome
 
 CLEARANCE = 0.145  # m, paper: "the minimal allowed distance between the robot and the obstacle"
@@ -53,13 +54,13 @@ class PaperWeights:
         v_moved: the paper's "fixed minimal value" of v, m/s, which it does not give.
     """
 
-    gamma: float = 0.001
-    distance: float = 6.0
-    v: float = 2.0
-    omega: float = 0.5
-    clearance: float = 20.0
-    still: float = 60.0
-    v_moved: float = 0.05
+    gamma: float = bounded(0.001, 0, above=True)
+    distance: float = bounded(6.0, 0)
+    v: float = bounded(2.0, 0)
+    omega: float = bounded(0.5, 0)
+    clearance: float = bounded(20.0, 0)
+    still: float = bounded(60.0, 0)
+    v_moved: float = bounded(0.05, 0)
 
 
 def paper_fitness(outcome: Outcome, weights: PaperWeights = PaperWeights()) -> Float[Array, " P"]:
@@ -140,16 +141,16 @@ class SmoothWeights:
         clearance: weight of falling short of it, per 0.1 m.
     """
 
-    near: float = 0.05
-    reach: float = 0.06
-    arrival: float = 0.5
-    arrived: float = 0.08
-    stop: float = 1.0
-    slow: float = 0.02
-    still: float = 0.01
-    gate: float = 0.4
-    margin: float = 0.16
-    clearance: float = 10.0
+    near: float = bounded(0.05, 0, above=True)
+    reach: float = bounded(0.06, 0)
+    arrival: float = bounded(0.5, 0)
+    arrived: float = bounded(0.08, 0)
+    stop: float = bounded(1.0, 0)
+    slow: float = bounded(0.02, 0)
+    still: float = bounded(0.01, 0, above=True)
+    gate: float = bounded(0.4, 0, above=True)
+    margin: float = bounded(0.16, 0)
+    clearance: float = bounded(10.0, 0, above=True)
 
 
 def smooth_cost(outcome: Outcome, weights: SmoothWeights = SmoothWeights()) -> Float[Array, "..."]:

@@ -15,6 +15,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from fntg_jax.controller import genome
+from fntg_jax.learning import bounds
+from fntg_jax.learning.bounds import bounded
 
 Selection = Literal["roulette", "sus", "rank", "tournament", "truncation"]
 # (key, theta) -> fitness.
@@ -49,18 +51,18 @@ class GAConfig:
     """
 
     population: int = _static(60)
-    num_bits: int = _static(15)
+    num_bits: int = bounded(15, 1, 24, static=True)
     gray: bool = _static(False)
     selection: Selection = _static("roulette")
-    num_points: int = _static(3)
+    num_points: int = bounded(3, 0, 32, static=True)
     tournament_size: int = _static(2)
     num_islands: int = _static(1)
-    crossover_rate: float = 1.0
-    mutation_rate: float = 0.001
-    mutation_decay: float = 1.0
+    crossover_rate: float = bounded(1.0, 0, 1)
+    mutation_rate: float = bounded(0.001, 0, 1)
+    mutation_decay: float = bounded(1.0, 0, 1, above=True)
     num_elites: int = 1
-    rank_pressure: float = 1.8
-    truncation_share: float = 0.5
+    rank_pressure: float = bounded(1.8, 1, 2)
+    truncation_share: float = bounded(0.5, 0, 1, above=True)
 
 
 def validate(config: GAConfig) -> None:
@@ -72,34 +74,24 @@ def validate(config: GAConfig) -> None:
     Raises ValueError: field, value, what is allowed.
     """
 
-    def check(name, allowed, ok):
-        value = getattr(config, name)
-        if not ok(value):
+    bounds.check(config, "ga")
+    islands = max(config.num_islands, 1)
+    for name, allowed, ok in (
+        ("population", "even numbers from 2 to 2^31 - 2", lambda n: 2 <= n < 2**31 and n % 2 == 0),
+        ("tournament_size", "1 to the population", lambda n: 1 <= n <= config.population),
+        (
+            "num_islands",
+            f"divisors of population = {config.population} that leave islands of even size",
+            lambda n: n >= 1 and config.population % (2 * n) == 0,
+        ),
+        (
+            "num_elites",
+            f"whole numbers from 0 to {config.population // islands - 1}",
+            lambda n: n == int(n) and 0 <= n < config.population // islands,
+        ),
+    ):
+        if not ok(value := getattr(config, name)):
             raise ValueError(f"ga.{name} = {value!r}: allowed are {allowed}")
-
-    def share(x):
-        return 0 <= x <= 1
-
-    check("population", "even numbers from 2 to 2^31 - 2", lambda n: 2 <= n < 2**31 and n % 2 == 0)
-    check("num_bits", "1 to 24", lambda n: 1 <= n <= 24)
-    check("selection", ", ".join(SELECTIONS), lambda s: s in SELECTIONS)
-    check("num_points", "0 to 32", lambda n: 0 <= n <= 32)
-    check("tournament_size", "1 to the population", lambda n: 1 <= n <= config.population)
-    check(
-        "num_islands",
-        f"divisors of population = {config.population} that leave islands of even size",
-        lambda n: n >= 1 and config.population % (2 * n) == 0,
-    )
-    check("crossover_rate", "0 to 1", share)
-    check("mutation_rate", "0 to 1", share)
-    check("mutation_decay", "above 0, up to 1", lambda x: 0 < x <= 1)
-    check(
-        "num_elites",
-        f"whole numbers from 0 to {config.population // max(config.num_islands, 1) - 1}",
-        lambda n: n == int(n) and 0 <= n < config.population // config.num_islands,
-    )
-    check("rank_pressure", "1 to 2", lambda x: 1 <= x <= 2)
-    check("truncation_share", "above 0, up to 1", lambda x: 0 < x <= 1)
 
 
 # Selection: (key, fitness [P] >= 0, number of parents, config) -> parents' indices [number].

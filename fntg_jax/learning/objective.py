@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 from jaxtyping import Array, Float, Key
 
-from envs.base import Task
+from envs.base import Environment, Task
 from fntg_jax.controller import network
 from fntg_jax.controller.layout import Layout
 from fntg_jax.learning import fitness
@@ -33,7 +33,7 @@ class Traced(NamedTuple):
     """What may change without compiling again."""
 
     ga: GAConfig
-    env: Any
+    env: Environment
     fitness: PaperWeights
     smooth: SmoothWeights
     scenes: Any
@@ -115,7 +115,7 @@ _KEY = 0x4EF1  # apart from the scenes of evolution and of evaluation, which use
 
 def smooth_descent(
     layout: Layout,
-    env: Any,
+    env: Environment,
     suite: Callable[..., Any],
     num_scenes: int,
     output: network.Output = "scale",

@@ -14,7 +14,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
-from envs.base import Command
+from envs.base import Command, Environment
 from fntg_jax.controller import network
 from fntg_jax.controller.layout import Layout, Params, expand_scalars
 
@@ -40,7 +40,7 @@ class Outcome(NamedTuple):
 def rollout(
     params: Params,
     scene: Any,
-    env: Any,
+    env: Environment,
     output: network.Output = "scale",
     sample_steps: tuple[int, ...] = SAMPLE_STEPS,
     unroll: int = 1,
@@ -107,7 +107,7 @@ def rollout_pairs(
     layout: Layout,
     theta: Float[Array, "P genes"],
     scenes: Any,
-    env: Any,
+    env: Environment,
     axis: str | None = None,
     **options: Any,
 ) -> Outcome:
@@ -206,7 +206,7 @@ class Trajectory(NamedTuple):
 def trajectory(
     params: Params,
     scene: Any,
-    env: Any,
+    env: Environment,
     output: network.Output = "scale",
     num_steps: int = SAMPLE_STEPS[-1],
 ) -> Trajectory:

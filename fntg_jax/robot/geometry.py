@@ -7,8 +7,11 @@ shape; float32 error below 1e-6 unless said otherwise.
 import math
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
-from envs.base import Scalar, arctan
+from envs.base import arctan
+
+Scalar = Float[Array, ""]
 
 
 def angle(x: Scalar, y: Scalar) -> Scalar:

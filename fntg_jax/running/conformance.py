@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from envs.base import Action, Command, Senses, Task, Walk, World
+from envs.base import Action, Command, Environment, Senses, Task, Walk, World
 from fntg_jax.controller.controller import Controller
 from fntg_jax.controller.layout import LAYOUTS
 from fntg_jax.export import verify
@@ -60,7 +60,7 @@ def world(world: World, num_steps: int = _STEPS) -> Iterator[Check]:
     yield from _model(env, scenes, num_steps)
 
 
-def _model(env: Any, scenes: Any, num_steps: int) -> Iterator[Check]:
+def _model(env: Environment, scenes: Any, num_steps: int) -> Iterator[Check]:
     traces = 0
     v = 0.5 * float(env.limits.v_max) * jnp.asarray([1.0, 1.0, 0.0, 0.5])
     omega = float(env.limits.omega_max) * jnp.asarray([0.0, 0.5, -1.0, 0.2])
@@ -215,32 +215,31 @@ def match(match: Any, num_steps: int = _STEPS) -> Iterator[Check]:
         yield Check(
             f"another {what}, another match", "" if _differ(row(0), row(other)) else "equal"
         )
-    alone = jax.tree.map(lambda x: x[..., 0], drive(kickoff[3:], seeds[3:])[1:])
-    yield Check("a batch is a loop", _far(row(3), alone))
     score = np.asarray(four[4])  # [steps, 2, matches]
     legal = (np.diff(score, axis=0, prepend=0) >= 0).all()
     yield Check("goals start at 0 and do not fall", "" if legal else f"{score[..., 0].T}")
-    # One match, its robots in front.
-    state = match.reset(0, 1)
-    sense = match.sense(state)
-    yield Check(
-        "sense gives envs.base.Senses", "" if isinstance(sense, Senses) else f"{type(sense)}"
-    )
-    yield Check("sense and truth: leaves [R, ...]", _leading((sense, match.truth(state)), size))
-    acted = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), action())
-    batched = jax.tree.map(lambda x: x[..., 0], match.step_batch(*_one(state, action())))
-    yield Check("step is step_batch of one", _far(match.step(state, acted), batched))
-    picture = match.snapshot(state)
+
+    @jax.jit
+    def alone(kickoff, seed):
+        """One match, its robots in front."""
+        acts = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), action())
+
+        def step(state, _):
+            new = match.step(state, acts)
+            return new, (match.sense(new), match.truth(new))
+
+        end, seen = jax.lax.scan(step, match.reset(kickoff, seed), None, length=num_steps)
+        return end, *seen, match.snapshot(end)
+
+    end, senses, truth, picture = alone(kickoff[3], seeds[3])
+    yield Check("a batch is a loop", _far(end, jax.tree.map(lambda x: x[..., 3], four[1])))
+    given = isinstance(senses, Senses)
+    yield Check("sense gives envs.base.Senses", "" if given else f"it is {type(senses)}")
+    last = jax.tree.map(lambda x: x[-1], (senses, truth))
+    yield Check("sense and truth of one match: leaves [R, ...]", _leading(last, size))
     shapes = picture.robots.shape, picture.ball.shape
-    yield Check(
-        "snapshot has robots [R, 3] and ball [2]",
-        "" if shapes == ((size, 3), (2,)) else f"{shapes}",
-    )
-
-
-def _one(*trees: Any) -> tuple[Any, ...]:
-    """As a batch of one, its axis last."""
-    return jax.tree.map(lambda x: x[..., None], trees)
+    right = shapes == ((size, 3), (2,))
+    yield Check("snapshot has robots [R, 3] and ball [2]", "" if right else f"{shapes}")
 
 
 def selection(operator: Callable[..., Any], num: int = 4096) -> Iterator[Check]:

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from envs.base import Environment, World
 from fntg_jax.controller.controller import Controller
 from fntg_jax.learning import fitness
 from fntg_jax.learning.rollout import Outcome, rollout_pairs
@@ -33,7 +34,12 @@ class Evaluation(NamedTuple):
 
 
 def evaluate(
-    controller: Controller, world: Any, suite: str, num_scenes: int, seed: int = 0, env: Any = None
+    controller: Controller,
+    world: World,
+    suite: str,
+    num_scenes: int,
+    seed: int = 0,
+    env: Environment | None = None,
 ) -> Evaluation:
     """Run a controller through scenes that training never saw: it draws from other keys.
 
@@ -63,7 +69,7 @@ def evaluate(
 _run = jax.jit(rollout_pairs, static_argnums=0, static_argnames="output")
 
 
-def held_out_suites(world: Any) -> list[str]:
+def held_out_suites(world: World) -> list[str]:
     """The suites of a world that test: all but the paper's learning set-up.
 
     Args:
@@ -72,7 +78,7 @@ def held_out_suites(world: Any) -> list[str]:
     return [name for name in world.suites if name != "paper"]
 
 
-def held_out_scenes(world: Any, suite: str, num_scenes: int, seed: int = 0) -> Any:
+def held_out_scenes(world: World, suite: str, num_scenes: int, seed: int = 0) -> Any:
     """Scenes of a suite; asking for more leaves the first ones as they are.
 
     Args:
@@ -92,14 +98,20 @@ def held_out_scenes(world: Any, suite: str, num_scenes: int, seed: int = 0) -> A
 
 
 def check_scenes(num_scenes: int) -> None:
-    """Raises ValueError: scenes, value, what is allowed."""
+    """Refuse a number of scenes.
+
+    Args:
+        num_scenes: wanted.
+
+    Raises ValueError: scenes, value, what is allowed.
+    """
     if not 1 <= num_scenes <= MOST_SCENES:
         raise ValueError(
             f"scenes = {num_scenes}: allowed are whole numbers from 1 to {MOST_SCENES}"
         )
 
 
-def environment_for(controller: Controller, world: Any, **options: float) -> Any:
+def environment_for(controller: Controller, world: World, **options: float) -> Any:
     """The world's environment at the controller's limits and control step.
 
     Args:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from envs.base import Task
+from envs.base import Environment, Task, World
 from fntg_jax.controller.layout import HIGH, LOW, get_layout
 from fntg_jax.learning import objective
 from fntg_jax.learning.objective import VALIDATION, Static, Traced
@@ -36,9 +36,9 @@ class Problem(NamedTuple):
     config: TrainConfig
     genes: tuple[Any, ...]
     task: Task | None = None
-    world: Any = None
+    world: World | None = None
     layout: Any = None
-    env: Any = None
+    env: Environment | None = None
     suite: Any = None
 
     @property

@@ -4,15 +4,17 @@ What its names stand for (world, suite, task) is looked up in `problem.resolve`.
 """
 
 import dataclasses
-from typing import Any, Literal, get_args, get_type_hints
+from typing import Any, Literal
 
-from envs.base import Limits
 from fntg_jax.controller import network
 from fntg_jax.controller.layout import get_layout
-from fntg_jax.learning import ga
+from fntg_jax.learning import bounds, ga
+from fntg_jax.learning.bounds import bounded
 from fntg_jax.learning.fitness import PaperWeights, SmoothWeights
 from fntg_jax.learning.ga import GAConfig
 from fntg_jax.learning.objective import POOL
+
+MOST_SCENES = 1_000_000  # 0.1 GB; a pool of a few thousand does
 
 
 class Options(dict[str, float]):
@@ -79,20 +81,20 @@ class TrainConfig:
     layout: str = "paper-31"
     output: network.Output = "scale"
     suite: str = "paper"
-    num_scenes: int = 4
-    scene_pool: int = 0
+    num_scenes: int = bounded(4, 1, MOST_SCENES)
+    scene_pool: int = bounded(0, 0, MOST_SCENES)
     objective: Literal["paper", "smooth"] = "paper"
-    seeds: int = 1
-    first_seed: int = 0
-    generations: int = 95
+    seeds: int = bounded(1, 1, 2**32)
+    first_seed: int = bounded(0, 0, 2**32 - 1)
+    generations: int = bounded(95, 1, 1_000_000)
     warm_start: str = ""
     initial: Literal["uniform", "partition"] = "uniform"
     ga: GAConfig = GAConfig()
-    refine_steps: int = 0
+    refine_steps: int = bounded(0, 0, 1_000_000)
     refine_method: Literal["gradient", "cma"] = "gradient"
-    refine_scenes: int = 0
-    refine_rate: float = 0.003
-    refine_top: int = 4
+    refine_scenes: int = bounded(0, 0, MOST_SCENES)
+    refine_rate: float = bounded(0.003, 0, 1, above=True)
+    refine_top: int = bounded(4, 1, 16)
     fitness: PaperWeights = PaperWeights()
     smooth: SmoothWeights = SmoothWeights()
 
@@ -160,19 +162,7 @@ def validate(config: TrainConfig) -> None:
 
     Raises ValueError: field, value, what is allowed.
     """
-    for name, least, most in (
-        ("seeds", 1, 2**32),
-        ("generations", 1, 1_000_000),
-        ("num_scenes", 1, MOST_SCENES),
-        ("first_seed", 0, 2**32 - 1),
-        ("scene_pool", 0, MOST_SCENES),
-        ("refine_steps", 0, 1_000_000),
-        ("refine_scenes", 0, MOST_SCENES),
-        ("refine_top", 1, 16),
-    ):
-        value = getattr(config, name)
-        if not least <= value <= most:
-            raise ValueError(f"{name} = {value}: allowed are whole numbers from {least} to {most}")
+    bounds.check(config)
     for name in ("task_options", "env_options"):
         for key, value in getattr(config, name).items():
             if not isinstance(value, int | float) or isinstance(value, bool):
@@ -183,45 +173,18 @@ def validate(config: TrainConfig) -> None:
             f"{config.seeds} seeds"
         )
     get_layout(config.layout)
-    network.output_gains(Limits(), config.output)
     ga.validate(config.ga)
-    if config.scene_pool and config.num_scenes > config.scene_pool:
+    bounds.check(config.fitness, "fitness")
+    bounds.check(config.smooth, "smooth")
+    if 0 < config.scene_pool < config.num_scenes:
         raise ValueError(
             f"scene_pool = {config.scene_pool}: allowed are 0 and numbers from num_scenes = "
             f"{config.num_scenes} to {MOST_SCENES}"
-        )
-    if not 0 < config.refine_rate <= 1:
-        raise ValueError(
-            f"refine_rate = {config.refine_rate}: allowed are numbers above 0, up to 1"
         )
     if config.refine_steps and config.refine_top > min(16, config.ga.population):
         raise ValueError(
             f"refine_top = {config.refine_top}: allowed are 1 to {min(16, config.ga.population)}"
         )
-    for name in ("objective", "initial", "refine_method"):
-        allowed = get_args(get_type_hints(TrainConfig)[name])
-        if (word := getattr(config, name)) not in allowed:
-            raise ValueError(f"{name} = {word!r}: allowed are {', '.join(allowed)}")
-    positive = {
-        "fitness": ("gamma",),
-        "smooth": ("near", "still", "gate", "clearance"),
-    }
-    for group, names in positive.items():
-        for name, value in dataclasses.asdict(getattr(config, group)).items():
-            # What it is in float32 counts: 1e300 would be infinite there, 1e-300 nothing.
-            if not 0 <= value <= _LARGEST:
-                raise ValueError(
-                    f"{group}.{name} = {value}: allowed are numbers from 0 to {_LARGEST:g}"
-                )
-            if value < 1 / _LARGEST and (value > 0 or name in names):
-                raise ValueError(
-                    f"{group}.{name} = {value}: allowed are "
-                    f"{'' if name in names else '0 and '}numbers from {1 / _LARGEST:g}"
-                )
-
-
-MOST_SCENES = 1_000_000  # 0.1 GB; a pool of a few thousand does
-_LARGEST = 1e30  # of a weight
 
 
 def from_dict(data: Any) -> TrainConfig:

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from envs.base import Environment, World
 from fntg_jax.controller.controller import Controller
 from fntg_jax.learning import fitness
 from fntg_jax.learning.rollout import trajectory
@@ -37,8 +38,8 @@ def reasons(outcome: Any) -> list[str]:
 
 def picture(
     controller: Controller,
-    world: Any,
-    env: Any,
+    world: World,
+    env: Environment,
     results: list[Evaluation],
     path: str | Path,
     most: int = MOST,
@@ -105,7 +106,7 @@ def _summary(result: Evaluation, most: int = MOST) -> str:
     return f"{result.suite}: {failed} of {result.num_scenes} failed ({', '.join(counts)}){shown}"
 
 
-def _trajectories(controller: Controller, env: Any, scenes: Any, rows: np.ndarray) -> Any:
+def _trajectories(controller: Controller, env: Environment, scenes: Any, rows: np.ndarray) -> Any:
     params = controller.params32
     # Always as many, so that all suites of a kind share a compilation.
     rows = np.resize(rows, MOST)

@@ -11,11 +11,12 @@ import tempfile
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
 
+from envs.base import World
 from fntg_jax.controller import network
 from fntg_jax.controller.controller import Controller
 from fntg_jax.learning import rollout
@@ -40,7 +41,7 @@ class Shot(NamedTuple):
 def shoot(
     title: str,
     controller: Controller,
-    world: Any,
+    world: World,
     suite: str,
     indices: tuple[int, ...],
     seed: int = 0,

@@ -16,6 +16,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from envs.base import Environment, World
 from fntg_jax.controller import labels, layout, network
 from fntg_jax.controller.controller import Controller
 from fntg_jax.files import inert_json
@@ -25,7 +26,6 @@ from fntg_jax.running.evaluation import environment_for, held_out_scenes
 from fntg_jax.showing import rules
 
 MAX_BYTES = 1_000_000  # of a page: it can be sent by mail
-ROBOT = (0.289, 0.152)  # m, length and width of the ERS-210
 
 _FAMILIES = {
     "A": "distance to the ball",
@@ -38,7 +38,7 @@ _FAMILIES = {
 def record(
     title: str,
     controller: Controller,
-    world: Any,
+    world: World,
     suite: str,
     indices: tuple[int, ...],
     seed: int = 0,
@@ -54,9 +54,9 @@ def record(
         seed: of the scenes.
 
     Returns:
-        Panels: title, scene, result (words), dt (s), field (m); over the time steps robot
-        [x, y, heading], ball [x, y] and obstacles [[x, y, radius], ...] (m, rad; a list of one
-        entry stands still); signals, inputs and bars, each with its name and values; in the
+        Panels: title, scene, result (words), dt (s), footprint and field (m); over the time steps
+        robot [x, y, heading], ball [x, y] and obstacles [[x, y, radius], ...] (m, rad; a list of
+        one entry stands still); signals, inputs and bars, each with its name and values; in the
         kinematic world play, by which the page simulates again what one drags.
 
     Raises ValueError on an unknown suite or a negative scene.
@@ -80,6 +80,7 @@ def record(
                 "scene": f"{suite} scene {index}",
                 "result": describe_result(outcome),
                 "dt": controller.control_dt,
+                "footprint": list(world.footprint),
                 "field": {k: v for k, v in world.field._asdict().items() if isinstance(v, float)},
                 "robot": _over_time(trial.snapshot.robot),
                 "ball": _over_time(trial.snapshot.ball),
@@ -93,7 +94,7 @@ def record(
     return panels
 
 
-def _play(controller: Controller, env: Any, scene: Any) -> dict[str, Any]:
+def _play(controller: Controller, env: Environment, scene: Any) -> dict[str, Any]:
     """What the page needs to simulate the trial itself, where the world is simple enough."""
     motion = getattr(env, "unicycle", None)
     if motion is None:
@@ -132,7 +133,7 @@ def plain_scene(scene: Any) -> dict[str, list]:
     }
 
 
-def choice(world: Any, suite: str, seed: int = 0, num: int = 24) -> list[dict[str, Any]]:
+def choice(world: World, suite: str, seed: int = 0, num: int = 24) -> list[dict[str, Any]]:
     """The first scenes of a suite with their names, for the page's scene picker.
 
     Args:
@@ -372,7 +373,7 @@ class _View:
         step = min(round(time / self.panel["dt"]), len(self.robots) - 1)
         x, y, heading = self.robots[step]
         self.path.set_data(*self.robots[: step + 1, :2].T)
-        half, width = ROBOT[0] / 2, ROBOT[1] / 2
+        half, width = (x / 2 for x in self.panel["footprint"])
         nose = half / 2
         outline = [(-half, -width), (nose, -width), (half, 0), (nose, width), (-half, width)]
         c, s = math.cos(heading), math.sin(heading)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from envs.base import Limits
+from envs.base import Limits, World
 from fntg_jax.controller import layout, network
 from fntg_jax.controller.controller import Controller
 from fntg_jax.controller.labels import Label, describe_labels
@@ -123,7 +123,11 @@ def rules_of(controller: Controller, labels: dict[str, tuple[Label, ...]]) -> li
 
 
 def rule_base(
-    controller: Controller, world: Any, suite: str = "blocked", num_scenes: int = 200, seed: int = 0
+    controller: Controller,
+    world: World,
+    suite: str = "blocked",
+    num_scenes: int = 200,
+    seed: int = 0,
 ) -> RuleBase:
     """Labels, commands, and firing over all control steps of a suite's held-out scenes.
 
