@@ -95,9 +95,12 @@ def validate(config: GAConfig) -> None:
 
 
 # Selection: (key, fitness [P] >= 0, number of parents, config) -> parents' indices [number].
+SelectionFn = Callable[[Key[Array, ""], Float[Array, " P"], int, GAConfig], Int[Array, " num"]]
 
 
-def select_roulette(key, fitness, num, config):
+def select_roulette(
+    key: Key[Array, ""], fitness: Float[Array, " P"], num: int, config: GAConfig
+) -> Int[Array, " num"]:
     """Probability proportional to fitness; uniform where all fitness is zero.
 
     Args:
@@ -114,7 +117,9 @@ def select_roulette(key, fitness, num, config):
     return _spin(wheel, jax.random.uniform(key, (num,)))
 
 
-def select_sus(key, fitness, num, config):
+def select_sus(
+    key: Key[Array, ""], fitness: Float[Array, " P"], num: int, config: GAConfig
+) -> Int[Array, " num"]:
     """Baker's stochastic universal sampling: one spin, `num` equally spaced pointers.
 
     The parents are shuffled, since the pointers meet them in order and neighbours mate.
@@ -134,7 +139,9 @@ def select_sus(key, fitness, num, config):
     return jax.random.permutation(k_shuffle, _spin(_wheel(fitness), pointers))
 
 
-def select_rank(key, fitness, num, config):
+def select_rank(
+    key: Key[Array, ""], fitness: Float[Array, " P"], num: int, config: GAConfig
+) -> Int[Array, " num"]:
     """Linear ranking: the best expects rank_pressure copies, the worst 2 - rank_pressure.
 
     Args:
@@ -153,7 +160,9 @@ def select_rank(key, fitness, num, config):
     return _spin(_wheel(weight), jax.random.uniform(key, (num,)))
 
 
-def select_tournament(key, fitness, num, config):
+def select_tournament(
+    key: Key[Array, ""], fitness: Float[Array, " P"], num: int, config: GAConfig
+) -> Int[Array, " num"]:
     """The best of tournament_size genomes drawn with replacement.
 
     Args:
@@ -170,7 +179,9 @@ def select_tournament(key, fitness, num, config):
     return jnp.take_along_axis(rivals, winner[:, None], axis=1)[:, 0]
 
 
-def select_truncation(key, fitness, num, config):
+def select_truncation(
+    key: Key[Array, ""], fitness: Float[Array, " P"], num: int, config: GAConfig
+) -> Int[Array, " num"]:
     """Uniform among the best truncation_share of the population (at least one genome).
 
     Args:
@@ -188,7 +199,7 @@ def select_truncation(key, fitness, num, config):
     return jnp.argsort(-fitness)[jnp.minimum(pick, size - 1)]
 
 
-SELECTIONS = {
+SELECTIONS: dict[str, SelectionFn] = {
     "roulette": select_roulette,
     "sus": select_sus,
     "rank": select_rank,

@@ -43,7 +43,6 @@ def rollout(
     env: Environment,
     output: network.Output = "scale",
     sample_steps: tuple[int, ...] = SAMPLE_STEPS,
-    unroll: int = 1,
     checkpoint: bool = False,
 ) -> Outcome:
     """Drive one controller through one scene.
@@ -55,7 +54,6 @@ def rollout(
         output: how genes are read, see `network.command`.
         sample_steps: control steps after which distance and velocities are taken; the last one
             ends the trial.
-        unroll: control steps of one iteration of the compiled loop.
         checkpoint: recompute each control step in the backward pass, so that reverse mode stores
             one state a step and nothing else.
 
@@ -80,7 +78,7 @@ def rollout(
 
     def segment(carry, end):
         carry, samples = carry
-        carry, _ = jax.lax.scan(control_step, carry, None, length=inner, unroll=unroll)
+        carry, _ = jax.lax.scan(control_step, carry, None, length=inner)
         state, _, _, command = carry
         now = (env.measure(state).d_ball, command.v, command.omega)
         # Selected here, not stacked as the scan's outputs: XLA's CPU compiler writes the whole
@@ -145,10 +143,8 @@ def rollout_pairs(
     return jax.tree.map(lambda x: x.reshape(-1, num_scenes, *x.shape[1:]), outcome)
 
 
-# Trials of a block.  60 000 trials of the kinematic world, speed relative to the C version on one
-# core (Xeon 2.8 GHz, jax 0.10.2, disturbed by others): 0.3 all at once; in blocks of 64: 0.87,
-# 128: 0.89, 256: 0.83, 512: 0.76, 1024: 0.72, 2048: 0.78.  2048 trials of the quadruped, thousand
-# control steps/s: 42-55 all at once; 256: 35, 512: 59, 1024: 56.
+# Trials of a block: 512 were fastest on CPUs for the quadruped, and within a sixth of it for
+# the kinematic world (blocks of 64 to 2048; all at once is two to three times slower).
 _BLOCK = 512
 _BLOCK_ELSEWHERE = 1 << 20  # a GPU wants many trials, within its memory
 _LANES = 16  # of a vector register

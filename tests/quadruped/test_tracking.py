@@ -1,6 +1,7 @@
 """How well the walk follows commands: the measure, and the committed tables."""
 
 import csv
+import dataclasses
 import json
 
 import jax
@@ -79,6 +80,9 @@ def test_falls_in_the_full_model_are_counted(monkeypatch):
     monkeypatch.setattr(measure, "random_sequences", lambda *_: ahead)
     fallen = measure.falls_full(make(), jax.random.key(0), num=2, num_steps=5)
     assert fallen.shape == (2,) and not fallen.any()
+    # Where standing is not high enough, both have fallen.
+    strict = dataclasses.replace(make(), fall_height=0.5)
+    assert measure.falls_full(strict, jax.random.key(0), num=2, num_steps=5).all()
 
 
 def test_the_ball_runs_out_in_mujoco_as_on_the_kinematic_field():
