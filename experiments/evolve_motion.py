@@ -219,14 +219,14 @@ def evolve(env, config: Config) -> tuple[np.ndarray, float]:
     settings = GAConfig(
         selection="tournament", tournament_size=3, gray=True, mutation_rate=0.01, num_elites=2
     )
-    ga = GeneticAlgorithm(config.population, jnp.zeros(genes), settings)
+    ga = GeneticAlgorithm(config.population, jnp.zeros(genes), settings, config.generations)
     rng = np.random.default_rng(config.seed)
     base = start_of(kind, motions.standing(env))
     first = base + SIGMA * rng.normal(size=(config.population, genes))
     first[0] = base
     population = jnp.asarray(np.clip(first, -5, 5), jnp.float32)
     key = jax.random.key(config.seed)
-    params = dataclasses.replace(ga.default_params, horizon=float(config.generations))
+    params = ga.default_params
     value = partial(costs, env, kind, rng=rng)
     state = ga.init(key, population, jnp.asarray(value(np.asarray(population))), params)
     for n in range(config.generations):

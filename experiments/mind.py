@@ -22,7 +22,7 @@ from envs.base import SEEN
 from experiments import script
 from fntg_jax.learning import play
 from fntg_jax.robot.geometry import length
-from fntg_jax.running import matches, xla
+from fntg_jax.running import matches, statistics, xla
 
 BALL = SEEN.index("ball")
 FRESH = 1.0  # s: who saw the ball within this time sees it
@@ -207,7 +207,7 @@ def measure(run, team, parts: Parts, options: Options) -> dict[str, Any]:
     goals = np.concatenate([found[0] for found in parts_of])
     watched = [found[2] for found in parts_of]
     watched = Watched(*(np.concatenate(leaves, axis=-1) for leaves in zip(*watched)))
-    mean = lambda a: (float(a.mean()), *matches.bootstrap_mean(a))  # noqa: E731
+    mean = lambda a: (float(a.mean()), *statistics.bootstrap_mean_of_counts(a))  # noqa: E731
     ours, theirs = goals[:, 0], goals[:, 1]
     return {
         "goals": mean(ours),

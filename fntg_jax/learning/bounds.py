@@ -64,9 +64,8 @@ def check(config: Any, group: str = "") -> None:
         if get_origin(kinds[field.name]) is Literal:
             words = get_args(kinds[field.name])
             allowed = "" if value in words else ", ".join(words)
-        elif bounds is not None:
-            if not bounds.hold(value):
-                allowed = bounds.words(isinstance(field.default, int))
+        elif bounds is not None and not bounds.hold(value):
+            allowed = bounds.words(isinstance(field.default, int))
         if allowed:
             name = f"{group}.{field.name}" if group else field.name
             raise ValueError(f"{name} = {value!r}: allowed are {allowed}")
