@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 
 from envs.base import Action
-from envs.quadruped import motions, render
-from envs.quadruped.environment import Quadruped, heading, standing
+from envs.quadruped import environment, motions, render
+from envs.quadruped.environment import Quadruped, heading
 from envs.quadruped.locomotion import SPEED, follow, limit, set_points
 from envs.quadruped.native import rolling_resistance
 from envs.soccer import ball as balls
@@ -46,7 +46,7 @@ class Physical:
     def __init__(self, match: Match, env: Quadruped | None = None):
         if {match.home, match.away} != {"ers210"}:
             raise ValueError(f"body = {match.home!r}, {match.away!r}: only ers210 can walk here")
-        self.match, self.env = match, env or standing()
+        self.match, self.env = match, env or environment.standing()
         solver = self.env.solver
         self.model = physical_model.build(match.field, match.robots, solver.timestep)
         self.data = mujoco.MjData(self.model)
