@@ -36,7 +36,7 @@ SWEEPS = {
     ),
     "sound": _option("hearing", "distance where half of the words are lost (m)", (0.3, 1.0, 3.8)),
     "players": _option("players", "robots a side", (1, 2, 3, 4)),
-    "length": _option("seconds", "half of a training match (s)", (5, 10, 20, 40)),
+    "length": _option("seconds", "length of a training match (s)", (5, 10, 20, 40)),
     # As many matches each.
     "budget": Sweep(
         "population x generations",
@@ -119,7 +119,7 @@ def main(name: str, argv: list[str] | None = None) -> Path:
         ("population", 60),
     ):
         parser.add_argument(f"--{option}", type=int, default=value)
-    parser.add_argument("--seconds", type=float, default=20.0, help="of a half, in training")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of a match in training")
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args(argv)
     xla.configure()

@@ -136,3 +136,18 @@ def test_processes_without_work_are_refused(monkeypatch):
     monkeypatch.setattr(parallel.jax, "process_count", lambda: 2)
     with pytest.raises(ValueError, match="seeds = 1: too few for 2 processes"):
         parallel.make_mesh(1, 1)
+
+
+@pytest.mark.slow
+def test_two_processes_share_the_matches_of_one_seed(clean_env, fntg, tmp_path):
+    """Task team: blocks of matches of one generation, half of them on either process."""
+    folder, alone = tmp_path / "two", tmp_path / "one"
+    tiny = ("--preset", "team", "--generations", "2", "--ga.population", "32")
+    tiny += ("--task-options", "seconds", "1", "players", "1")
+    env = {**clean_env, "XLA_FLAGS": ONE_DEVICE}
+    ended = [p.communicate(timeout=500) for p in start(env, *tiny, "--out", str(folder))]
+    assert ended[0][0] == f"{folder}\n", ended
+    done = fntg("train", *tiny, "--out", alone, XLA_FLAGS=ONE_DEVICE)
+    assert done.returncode == 0, done.stderr
+    assert (folder / "metrics.csv").read_text() == (alone / "metrics.csv").read_text()
+    assert (folder / "team.json").read_text() == (alone / "team.json").read_text()

@@ -116,7 +116,7 @@ def test_bioa_may_evolve_and_the_file_plays(tmp_path):
 def test_a_run_to_the_end_and_on_from_a_checkpoint(fntg, tmp_path):
     options = ("--preset", "team", "--ga.population", "4", "--generations", "3")
     options += ("--refine-steps", "1", "--task-options", "seconds", "2", "players", "1")
-    done = fntg("train", *options, "--out", tmp_path / "a", timeout=900)
+    done = fntg("train", *options, "--out", tmp_path / "a")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "a" / "fig5.png").exists()
     history = np.load(tmp_path / "a" / "history.npz")

@@ -3,8 +3,8 @@
 A genome plays cerberus with its genes at home: against the shipped teams (cerberus by hand, and
 chaser), against past champions of its own run (the hall of fame) and against genomes of its own
 population, for which the match counts as well, away.  All genomes of a generation play the same
-seeds; every seed is played with either kick-off, and ends change at half-time.  The opponents by
-hand and the held-out seeds judge.
+seeds; every seed is played with either kick-off.  The opponents by hand and the held-out seeds
+judge.
 """
 
 import dataclasses
@@ -53,7 +53,8 @@ class Options:
     """Options of the task, all numbers.
 
     Attributes:
-        seconds: of a half.
+        seconds: of a match, which is one half: exchanging ends and teams mirrors a match, so a
+            second half would only be another one.
         shipped, hall, rivals: matches of a genome in a generation against the shipped teams, the
             hall of fame (0: none) and its own population; even.
         size: champions in the hall.
@@ -134,7 +135,7 @@ def family(match: Any, home: bool, file: team_file.TeamFile, bioa: bool) -> Side
 
 
 def _command(controller: Controller, params: Any, *seen: Any) -> tuple[Any, ...]:
-    return tuple(network.command(params, Observation(*seen), controller.limits, controller.output))
+    return network.command(params, Observation(*seen), controller.limits, controller.output)[:2]
 
 
 def _fixed(side: Side) -> Side:
@@ -271,6 +272,8 @@ def _played(rules: Rules, home: Any, kinds: Any, theirs: Any, seeds: Any) -> Any
         rules.home._replace(team=_as_team(home)),
         rules.away._replace(team=away),
         seeds,
+        # Over before the half is called off.
+        num_steps=rules.match.half_steps - 1,
         each=(True, True),
         watch=_ball_x,
         axis=AXIS if _shared() else None,
@@ -288,7 +291,7 @@ def _shared() -> bool:
 
 def _worths(rules: Rules, statistics: Any, progress: Any) -> tuple[Any, Any]:
     half = rules.match.field.length / 2
-    dense = dense_of(statistics.possession, progress[:, 0], rules.match.steps, half)
+    dense = dense_of(statistics.possession, progress[:, 0], rules.match.half_steps, half)
     return value_of(statistics.goals), dense
 
 
