@@ -30,6 +30,9 @@ class RulesOptions:
     """world, by its entry point name; default: where the controller was trained."""
     against: str = "chaser"
     """of a team: the team it plays against."""
+    beside: str = ""
+    """of a team: another of the same planner; what differs: genes, and how often each rule
+    decided."""
     format: Literal["text", "md", "json", "csv"] = "text"
     """what to print."""
 
@@ -42,6 +45,12 @@ def main(argv: list[str]) -> None:
 
         num = 32 if options.scenes is None else options.scenes
         found = team_rules.watch(str(options.controller), options.against, num, options.seed)
+        if options.beside:
+            if options.format != "text":
+                raise ValueError(f"format = {options.format!r}: with --beside allowed is text")
+            other = team_rules.watch(options.beside, options.against, num, options.seed)
+            sys.stdout.write(team_rules.beside(found, other))
+            return
         sys.stdout.write(team_rules.FORMATS[options.format](found))
         return
     from fntg_jax.showing import rules

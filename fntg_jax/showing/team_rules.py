@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from fntg_jax.learning import play
+from fntg_jax.robot.genes import GENES, Genes
 from fntg_jax.running import matches
 
 STEPS = 1200  # of a match that is watched: two minutes
@@ -16,7 +17,7 @@ STEPS = 1200  # of a match that is watched: two minutes
 
 class TeamRules(NamedTuple):
     """team: its name; against: the other team; matches: how many were watched, for two minutes
-    each; roles, rules: words; counts: control steps [roles, rules]."""
+    each; roles, rules: words; counts: control steps [roles, rules]; source: name or file."""
 
     team: str
     against: str
@@ -24,6 +25,7 @@ class TeamRules(NamedTuple):
     roles: tuple[str, ...]
     rules: tuple[str, ...]
     counts: np.ndarray
+    source: str = ""
 
     @property
     def shares(self) -> np.ndarray:
@@ -43,7 +45,13 @@ def watch(name: str, against: str, num: int, seed: int) -> TeamRules:
     seeds = matches.match_seeds(num, seed)
     count = jax.jit(lambda s: play.applied(match, home, away, s, STEPS))
     return TeamRules(
-        home.name, away.name, num, home.words.roles, home.words.rules, np.asarray(count(seeds))
+        home.name,
+        away.name,
+        num,
+        home.words.roles,
+        home.words.rules,
+        np.asarray(count(seeds)),
+        name,
     )
 
 
@@ -98,3 +106,31 @@ def as_csv(found: TeamRules) -> str:
 
 
 FORMATS = {"text": as_text, "md": as_markdown, "json": as_json, "csv": as_csv}
+
+
+def beside(found: TeamRules, other: TeamRules) -> str:
+    """What differs between two teams of the same planner: genes with the share of their range by
+    which they moved, most first; then how often each rule decided, over all roles.  Raises
+    ValueError where a team has no such genes."""
+    match = matches.get_match("soccer", minutes=STEPS / 600)
+    both = []
+    for name in (found.source, other.source):
+        genes = getattr(matches.get_team(name, match, 0).team, "genes", None)
+        if not isinstance(genes, Genes):
+            raise ValueError(f"team = {name!r}: it has no genes of the planner")
+        both.append(genes)
+    names = other.team[:18], found.team[:18]
+    lines = [f"{'gene':18s}{names[0]:>20s}{names[1]:>20s}{'moved':>8s}"]
+    rows = []
+    for gene, new, old in zip(GENES, *both):
+        moved = (float(new) - float(old)) / (gene.high - gene.low)
+        rows.append((-abs(moved), moved, gene, float(old), float(new)))
+    for _, moved, gene, old, new in sorted(rows, key=lambda row: row[0]):
+        cells = "".join(f"{value:14.3g} {gene.unit:5s}" for value in (old, new))
+        lines.append(f"{gene.name:18s}{cells}{100 * moved:+6.0f} %  {gene.meaning}")
+    lines += ["", f"share of all time{names[0]:>21s}{names[1]:>20s}   rule of {found.team}"]
+    shares = [rules.counts.sum(0) / max(rules.counts.sum(), 1) for rules in (other, found)]
+    for n, rule in enumerate(found.rules):
+        cells = "".join(f"{100 * share[n]:18.1f} %" for share in shares)
+        lines.append(f"{'':18s}{cells}  {n + 1:2d}. {rule}")
+    return "\n".join(lines) + "\n"
