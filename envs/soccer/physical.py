@@ -97,13 +97,14 @@ class Physical:
     def step(self, state: State, action: Action) -> State:
         """0.1 s of play."""
         env, num = self.env, self.match.robots
-        robots, legs, head, gaits = jax.device_get(self._before(state, action, self._gaits))
+        robots, gaits, told = self._before(state, action, self._gaits)
+        doing, busy, legs, head = jax.device_get(told)
         ctrl = np.tile(self._standing, (env.solver.substeps, num, 1))
         ctrl[:, :, :12] = legs
         share = np.arange(1, env.solver.substeps + 1)[:, None, None] / env.solver.substeps
         was = self.data.ctrl.reshape(num, _CONTROLS)[:, 12:15]
         ctrl[:, :, 12:15] = was + share * (head - was)
-        self._play_motions(robots, ctrl)
+        self._play_motions(doing, busy, ctrl)
         touched = self._integrate(ctrl.reshape(len(ctrl), -1))
         q, v = self.data.qpos, self.data.qvel
         if not (np.isfinite(q).all() and np.abs(v).max() < 1e4):
@@ -116,29 +117,27 @@ class Physical:
             np.array([*q[at : at + 2], *v[ball_v : ball_v + 2]]),
             touched,
         )
-        as32 = jax.tree.map(
-            lambda x: np.asarray(x, x.dtype if x.dtype == bool else np.float32), measured
-        )
-        new, seen = jax.device_get(self._after(state, action, robots, gaits.stride, as32))
+        given = tuple(np.asarray(x, x.dtype if x.dtype == bool else np.float32) for x in measured)
+        new, moved = self._after(state, action, robots, gaits.stride, given)
         self._gaits = gaits
-        self._obey(new, seen)
+        self._obey(*jax.device_get(moved))
         return new
 
-    def _play_motions(self, robots: Any, ctrl: np.ndarray) -> None:
+    def _play_motions(self, doing: np.ndarray, busy: np.ndarray, ctrl: np.ndarray) -> None:
         """Set-points of kicks and postures under way, over the legs' and head's."""
         steps = len(ctrl)
         table = self.match.bodies.home
         for k in range(self.match.robots):
-            code, busy = int(robots.doing[k, 0]), float(robots.busy[k, 0])
+            code, left = int(doing[k]), float(busy[k])
             points = self._motions.get(code)
-            if points is None or busy <= 0:
+            if points is None or left <= 0:
                 continue
             index = code - walking.POSTURE
             duration = (
                 table.postures.duration[index] if index >= 0 else table.kicks.duration[code - 1]
             )
-            # `busy` is what is left after this step.
-            done = round((duration - busy) / self.match.dt - 1) * steps
+            # `left` after this step.
+            done = round((duration - left) / self.match.dt - 1) * steps
             rows = np.clip(np.arange(done, done + steps), 0, len(points) - 1)
             ctrl[:, k] = points[rows]
 
@@ -163,17 +162,13 @@ class Physical:
                 self.poses.append(data.qpos.copy())
         return touched
 
-    def _obey(self, new: State, seen: Any) -> None:
-        """Move in the model what the referee, or a get-up, moved in the state."""
-        r = new.robots
-        x, y, fallen, ball_x, ball_y = seen
-        far = np.hypot(r.x - x, r.y - y)[:, 0] > _MOVED
-        stands_up = (fallen & ~r.fallen)[:, 0]
-        for k in np.flatnonzero(far | stands_up):
-            self._put(int(k), *(float(a[k, 0]) for a in (r.x, r.y, r.cos, r.sin)))
-        ball = new.ball
-        if np.hypot(ball.x[0] - ball_x, ball.y[0] - ball_y) > _MOVED:
-            self._put_ball(float(ball.x[0]), float(ball.y[0]))
+    def _obey(self, which: np.ndarray, places: np.ndarray, rolls: bool, ball: np.ndarray) -> None:
+        """Move in the model what the referee, or a get-up, moved in the state: robots [R] to places
+        [4, R] x, y, cos, sin; the ball to [2]."""
+        for k in np.flatnonzero(which):
+            self._put(int(k), *map(float, places[:, k]))
+        if rolls:
+            self._put_ball(*map(float, ball))
 
     def _put(self, robot: int, x: float, y: float, cos: float, sin: float) -> None:
         """Stand a dog somewhere."""
@@ -226,7 +221,8 @@ class Physical:
         turns = gaits.phase + env.dt / env.gait.period
         new = Gaits(turns - jnp.floor(turns), stride, points[:, -1])
         tilts = jnp.stack([head.tilt, head.pan, head.roll], -1)[:, 0]
-        return robots, jnp.swapaxes(points, 0, 1), tilts, new
+        told = robots.doing[:, 0], robots.busy[:, 0], jnp.swapaxes(points, 0, 1), tilts
+        return robots, new, told
 
     def _judge(self, state: State, action: Action, planned: Any, stride: Any, measured: Any):
         match, old, game = self.match, state.robots, state.game
@@ -275,7 +271,6 @@ class Physical:
         talk, key = state.talk, noise.key(game.seed, game.tick, old.lane)
         if match.sound != "none":
             talk = sound.speak(talk, robots, action, may, match.air, key, match.dt)
-        seen = (x, y, fallen | got_up, rolled[0], rolled[1])
         robots, ball, game, statistics = referee.judge(
             match.rules,
             match.field,
@@ -289,7 +284,12 @@ class Physical:
             state.statistics,
             depth > -0.02,
         )
-        return State(robots, ball, talk, game, statistics), seen
+        far = jnp.maximum(jnp.abs(robots.x - x), jnp.abs(robots.y - y)) > _MOVED
+        which = far | ((fallen | got_up) & ~robots.fallen)
+        places = jnp.stack([robots.x, robots.y, robots.cos, robots.sin])[..., 0]
+        at = jnp.concatenate([ball.x, ball.y])
+        rolls = jnp.max(jnp.abs(at - rolled[:2])) > _MOVED
+        return State(robots, ball, talk, game, statistics), (which[:, 0], places, rolls, at)
 
     def pictures(self, poses: list[np.ndarray], width: int, height: int) -> list[np.ndarray]:
         """Pictures uint8 [height, width, 3] of kept poses, by a camera that glides after the ball.
