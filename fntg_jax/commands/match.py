@@ -19,8 +19,8 @@ class MatchOptions:
     """the team that plays towards +x first."""
     away: str = "still"
     """the other team."""
-    matches: int = 100
-    """how many; home kicks off in every other one."""
+    matches: int | None = None
+    """how many, default 100, of walking dogs 1; home kicks off in every other one."""
     seed: int = 0
     """decides all noise."""
     minutes: float = 10.0
@@ -60,9 +60,12 @@ def main(argv: list[str]) -> None:
         raise ValueError(f"out = {options.out}: allowed is a folder")
     if not 0 <= options.seed < 2**31:
         raise ValueError(f"seed = {options.seed}: allowed are 0 to {2**31 - 1}")
+    if options.matches is None:
+        options = dataclasses.replace(options, matches=100 if options.body == "tables" else 1)
     xla.configure(num_cpu_devices=len(os.sched_getaffinity(0)))
     from fntg_jax.running import matches
 
+    assert options.matches is not None
     if not 1 <= options.matches <= matches.MOST:
         raise ValueError(f"matches = {options.matches}: allowed are 1 to {matches.MOST}")
     if not 0.01 <= options.minutes <= 1000:
