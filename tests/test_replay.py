@@ -194,7 +194,14 @@ def test_the_page_is_a_place_to_play(tmp_path):
     seen.picked = words();
     location.hash = "#t=7&s=-1,0,0;0.5,0.25,0,0;0,0.5,0.1,0,0"; readAddress();
     seen.starts = panels.map(p => p.robot[0]); seen.time = get("time").textContent;
+    location.hash = "#t=7"; readAddress();
+    seen.unnamed = words();
+    location.hash = "#t=7&s=-1,0,0;0.5,0.25,0,0;0,0.5,0.1,0,0"; readAddress();
     get("back").click(); seen.back = words();
+    // A finger need not hit the knob; a mouse has to.
+    const {start} = panels[0].play.scene, x = start[0] + KNOB * Math.cos(start[2]) + 0.12;
+    const y = start[1] + KNOB * Math.sin(start[2]) + 0.12;
+    seen.hit = [0, 0.3].map(least => grip(panels[0], x, y, least) !== null);
     element("pre", document.body, JSON.stringify(seen)).id = "out";
     </script></body>"""
     page = replay.page(panels, "play", replay.choice(WORLD, "open", num=5))
@@ -207,7 +214,8 @@ def test_the_page_is_a_place_to_play(tmp_path):
     assert all(w.startswith("open scene 3. ") for w in seen["picked"])
     np.testing.assert_allclose(seen["starts"], [[-1, 0, 0]] * 2)
     assert seen["time"] == "7.0 s"
-    assert seen["back"] == seen["first"]
+    assert seen["unnamed"] == seen["back"] == seen["first"]
+    assert seen["hit"] == [False, True]
 
 
 @pytest.mark.parametrize("image_format", ["GIF", "WEBP"])
