@@ -226,9 +226,11 @@ def unstick(rules: Rules, robots: Robots, ball: RollingBall, game: Game, playing
     spot_x, spot_y = jnp.where(gone, ball.x, game.spot_x), jnp.where(gone, ball.y, game.spot_y)
     called = playing & (stuck >= rules.stuck_time)
     best, x, y = jnp.full_like(ball.x, jnp.inf), ball.x, ball.y
+    # In the frame of the team that kicked off, mirrored with the match: ties (a ball in the middle)
+    # then fall alike whichever team is called home.
+    ahead = jnp.where(game.kicker == 0, game.attack, -game.attack)
     for sx, sy in rules.restart_spots:
-        # In the frame of the home team, mirrored with the match: ties then fall alike.
-        px, py = sx * game.attack, sy * game.attack * game.hand
+        px, py = sx * ahead, sy * ahead * game.hand
         away = distance(robots.x - px, robots.y - py)
         taken = _any(away < 0.25)
         cost = distance(ball.x - px, ball.y - py) + jnp.where(taken, 10.0, 0.0)

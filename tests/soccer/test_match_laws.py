@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from envs.base import Action, Walk
-from envs.soccer import Match
+from envs.base import Action, Command, Scene, Walk
+from envs.scenes import BALL_DECELERATION
+from envs.soccer import Match, noise
 from envs.soccer.state import RollingBall
 
 MATCH = Match(minutes=1)
@@ -111,11 +112,15 @@ def start(seed=0):
     return MATCH.reset(np.arange(B) % 2, seed + np.arange(B))
 
 
-def test_exchanging_the_teams_mirrors_the_match():
+LONG = pytest.param(600, marks=pytest.mark.slow)  # stuck balls and their ties included
+
+
+@pytest.mark.parametrize("steps", [150, LONG])
+def test_exchanging_the_teams_mirrors_the_match(steps):
     state = start()
     mirror = swapped(start())
-    for n in range(150):
-        action = jax.tree.map(lambda a, n=n: a[n], ACTIONS)
+    for n in range(steps):
+        action = jax.tree.map(lambda a, n=n: a[n % 150], ACTIONS)
         other = jax.tree.map(lambda a: np.roll(a, N, axis=-2), action)
         state, mirror = STEP(state, action), STEP(mirror, other)
     same(swapped(state), mirror)
@@ -124,10 +129,11 @@ def test_exchanging_the_teams_mirrors_the_match():
         np.testing.assert_allclose(np.roll(np.asarray(x, float), N, axis=-2), y, atol=1e-5)
 
 
-def test_a_mirror_along_x_mirrors_the_match():
+@pytest.mark.parametrize("steps", [150, LONG])
+def test_a_mirror_along_x_mirrors_the_match(steps):
     state, mirror = start(), reflected(start())
-    for n in range(150):
-        action = jax.tree.map(lambda a, n=n: a[n], ACTIONS)
+    for n in range(steps):
+        action = jax.tree.map(lambda a, n=n: a[n % 150], ACTIONS)
         state, mirror = STEP(state, action), STEP(mirror, reflected_action(action))
     same(reflected(state), mirror)
     a, b = SENSE(state), SENSE(mirror)
@@ -139,6 +145,80 @@ def test_a_mirror_along_x_mirrors_the_match():
 
 
 ACTIONS = random_actions(150, 1)
+
+
+@pytest.mark.slow
+def test_1e8_random_steps_stay_finite_and_on_the_field():
+    """Whole matches of wild actions, drawn within: 10^8 steps in about a minute and a half."""
+    match, batch = Match(minutes=10), 64
+
+    def act(state):
+        r, tick = state.robots, state.game.tick
+        key = noise.key(state.game.seed ^ jnp.uint32(0xABCD), tick, r.lane)
+        held = noise.key(state.game.seed ^ jnp.uint32(0x1234), tick // 15, r.lane)
+        wide = lambda key, n, most: most * (2 * noise.uniform(key, 200 + n) - 1)  # noqa: E731
+        whole = lambda n, top: (noise.uniform(key, 200 + n) * top).astype(jnp.int32)  # noqa: E731
+        rarely = lambda n, x: jnp.where(noise.uniform(key, 200 + n) < 0.1, x, 0)  # noqa: E731
+        return Action(
+            Walk(whole(0, 10), wide(held, 1, 0.5), wide(held, 2, 0.2), wide(held, 3, 3.0)),
+            jnp.stack([wide(key, n, 2.0) for n in (4, 5, 6)]),
+            rarely(7, whole(8, 6)),
+            rarely(9, whole(10, 6)),
+            jnp.stack([rarely(11, noise.bits(key, 212)), rarely(11, noise.bits(key, 213))]),
+        )
+
+    @jax.jit
+    def run(seeds):
+        def step(carry, _):
+            state, worst = carry
+            state = match.step_batch(state, act(state))
+            r = state.robots
+            out = jnp.maximum(abs(r.x) - 1.7, abs(r.y) - 0.9)
+            ball = jnp.maximum(abs(state.ball.x) - 1.7, abs(state.ball.y) - 0.9)
+            far = jnp.maximum(jnp.where(r.out <= 0, out, -1).max(0), ball)
+            return (state, jnp.maximum(worst, far)), None
+
+        carry = match.reset(seeds % 2, seeds), jnp.full(batch, -1.0)
+        return jax.lax.scan(step, carry, None, length=match.steps)[0]
+
+    for first in range(0, -(-(10**8) // match.steps), batch):
+        state, worst = run(first + jnp.arange(batch))
+        for leaf in jax.tree.leaves(state):
+            assert np.isfinite(np.asarray(leaf, float)).all()
+        assert float(worst.max()) < 0 and (state.game.phase == 3).all()
+
+
+def test_one_rolling_law():
+    assert MATCH.rolling.deceleration == BALL_DECELERATION
+
+
+@pytest.mark.slow
+def test_run_out_as_in_the_full_model():
+    """A ball that leaves a dog as slowly as one that is pushed (0.2 m/s) and as fast as one that is
+    kicked (0.36 m/s, envs/quadruped/data/kicks.json) rolls as far as in MuJoCo, within 15 %."""
+    from envs.quadruped import make, mjcf, native
+
+    speeds = np.array([0.2, 0.36], np.float32)
+    start = np.tile(np.array([-1.2, 0.6, 0.0], np.float32), (2, 1))
+    ball = np.tile(np.array([-1.0, -0.2], np.float32), (2, 1))
+    velocity = np.stack([speeds, 0 * speeds], 1)
+    scenes = Scene(
+        start, ball, np.zeros((2, 0, 3), np.float32), ball_velocity=velocity, seed=np.zeros(2, int)
+    )
+    still = lambda seen, n: Command(jnp.zeros(2), jnp.zeros(2))  # noqa: E731
+    path = native.run(make(), scenes, still, mjcf.FULL, num_steps=85).ball
+    assert np.abs(path[-1] - path[-2]).max() < 1e-3  # it lies still
+    full = np.linalg.norm(path[-1] - path[0], axis=1)
+    match, mine = Match(players=1), []
+    step = jax.jit(match.step)
+    nothing = jax.tree.map(lambda a: np.zeros((2, *a.shape[1:-2]), a.dtype), ACTIONS)
+    for speed in speeds:
+        robots = jnp.array([[-1.2, 0.6, 0], [1.2, 0.6, 0]])
+        state = match.place(match.reset(0, 0), robots, jnp.array([-1.0, -0.2, speed, 0]))
+        for _ in range(85):
+            state = step(state, nothing)
+        mine.append(float(jnp.hypot(state.ball.x + 1.0, state.ball.y + 0.2)))
+    np.testing.assert_allclose(mine, full, rtol=0.15)
 
 
 @pytest.mark.slow

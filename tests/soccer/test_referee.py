@@ -69,6 +69,18 @@ def test_a_stuck_ball_goes_to_the_nearest_free_spot():
         assert called and (float(ball.x), float(ball.y)) == pytest.approx((0.7, y))
 
 
+def test_a_tie_between_spots_falls_alike_for_both_teams():
+    """A ball that nobody has touched lies as near to all four: the team that kicked off decides."""
+    found = []
+    for kicker in (0, 1):
+        state = situation(ball=(0, 0, 0, 0))
+        game = state.game._replace(stuck=jnp.float32(19.95), kicker=jnp.int32(kicker))
+        ball, *_, called = referee.unstick(MATCH.rules, state.robots, state.ball, game, True, 0.1)
+        assert called
+        found.append((float(ball.x), float(ball.y)))
+    assert found[0] == tuple(-a for a in found[1])
+
+
 def test_a_penalty_and_the_way_back():
     state = situation(ball=(0, 0.5, 0, 0))
     direction = referee.directions(state.robots, state.game)
