@@ -174,7 +174,9 @@ def native_walks(env: Quadruped, commands: np.ndarray, variant: str) -> Track:
     ball = np.tile(np.array([1.2, 0.75], np.float32), (num, 1))
     scenes = Scene(start, ball, np.zeros((num, 0, 3), np.float32), seed=np.zeros(num, int))  # type: ignore[arg-type]
     table = jnp.asarray(commands)
-    run = native.run(env, scenes, lambda _, n: as_walk(table[:, n]), variant, num_steps=steps)
+    run = native.run(
+        env, scenes, lambda _, n: as_walk(table[:, n]), variant, num_steps=steps, look=False
+    )
     path = jnp.asarray(run.qpos.swapaxes(0, 1), jnp.float32)
     return jax.vmap(partial(track, dt=env.dt))(path, run.fallen[-1])
 

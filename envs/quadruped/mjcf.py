@@ -73,7 +73,8 @@ def mjcf(
     <body name="trunk" pos="0 0 0.12">
       <freejoint name="base"/>
       <site name="imu"/>
-      <geom name="trunk" type="capsule" fromto="-0.06 0 0.012 0.06 0 0.012" size="0.038" mass="0"/>
+      <geom name="trunk" type="capsule" fromto="-0.06 0 0.012 0.06 0 0.012" size="0.038" mass="0"
+            group="4"/>
       <geom name="trunk_box" type="box" pos="0 0 0.008" size="0.085 0.044 0.034"
             mass="{c.MASS_TRUNK}"/>
 {"".join(_leg(i) for i in range(4))}{_head(full)}{_tail(full)}
@@ -268,7 +269,7 @@ _LIGHT = """
            specular="0 0 0" castshadow="true"/>"""
 _LOOKS = """  <visual>
     <global offwidth="1280" offheight="960"/>
-    <quality shadowsize="1024" numslices="16" numstacks="8"/>
+    <quality shadowsize="4096" numslices="16" numstacks="8"/>
     <headlight ambient="0.45 0.45 0.45" diffuse="0.35 0.35 0.35" specular="0 0 0"/>
   </visual>
   <asset>

@@ -14,11 +14,12 @@ import mujoco
 import numpy as np
 from mujoco import rollout as mujoco_rollout
 
-from envs.base import Observation, Scene
+from envs.base import Head, Observation, Scene
 from envs.field import FIELD, Ball
 from envs.quadruped import constants as c
+from envs.quadruped import head as neck
 from envs.quadruped import mjcf, physics
-from envs.quadruped.environment import Quadruped, State, three
+from envs.quadruped.environment import Quadruped, State, heading, three
 
 PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _INPUT = (
@@ -63,12 +64,14 @@ def run(
     num_steps: int = 220,
     num_threads: int = 2,
     poses: int = 1,
+    look: bool = True,
 ) -> Episode:
     """Drive a batch of scenes.  control: (observation, leaves [scenes]; index of the control
     step) -> command, jitted here.
 
-    poses: how many a control step are kept in `path`, evenly, to the
-    nearest timestep.
+    poses: how many a control step are kept in `path`, evenly, to the nearest timestep.  look: in
+    the full variant the head follows the ball, within its joints' limits and speeds; else it looks
+    ahead.
     The full variant takes each obstacle's radius into the model, so that it is compiled once a
     scene.  A dog that has fallen goes on being simulated, but what is judged is the state from
     before the fall, as in the environment; numbers that blow up are caught.
@@ -109,6 +112,11 @@ def run(
         new = jax.vmap(env.accept)(state, qpos, qvel, turns - jnp.floor(turns), stride, set_points)
         return new, measure(new)
 
+    @jax.jit
+    def turned(state, head):
+        return jax.vmap(lambda s, h: neck.follow(h, _look(s), env.dt))(state, head)
+
+    head = jnp.zeros((num, 3))
     size = mujoco.mj_stateSize(model, PHYSICS)
     seen, record = measure(state), []
     commands, paths = [], []
@@ -125,6 +133,11 @@ def run(
             force, mocap = model.nu, model.nu + model.nv
             inputs = np.zeros((num, env.solver.substeps, mocap + 3 * model.nmocap))
             inputs[:, :, :12] = targets
+            if full and look:
+                last, head = head, turned(state, head)
+                share = np.arange(1, env.solver.substeps + 1)[:, None] / env.solver.substeps
+                way = np.asarray(head - last)[:, None]
+                inputs[:, :, 12:15] = np.asarray(last)[:, None] + share * way
             if full:
                 rolling = qvel[:, _BALL_V : _BALL_V + 2]
                 resistance = rolling_resistance(rolling, float(env.ball_deceleration), env.dt)
@@ -156,6 +169,14 @@ def run(
     commands = jax.tree.map(lambda *x: np.stack(x), *commands)
     seen, qpos, balls, obstacles, fallen = columns
     return Episode(seen, commands, qpos, balls, obstacles, fallen, np.stack(paths))
+
+
+def _look(state: State):
+    """Tilt, pan and roll that look at the ball's centre."""
+    cos, sin = heading(state.qpos)
+    x, y = state.ball.x - state.qpos[0], state.ball.y - state.qpos[1]
+    point = jnp.stack([cos * x + sin * y, cos * y - sin * x, jnp.full_like(x, FIELD.ball_radius)])
+    return neck.look_to(point, Head(base=(*c.NECK_BASE[:2], c.NECK_BASE[2] + state.qpos[2])))
 
 
 def _model(variant: str, env: Quadruped, scenes: Scene, n: int, num_obstacles: int):

@@ -83,3 +83,40 @@ def test_a_ball_that_circles_stays_in_sight():
 
     cosine = np.asarray(jax.jit(jax.vmap(circle))(far, rate))
     assert np.mean(cosine > np.cos(0.5 * Camera().vertical)) > 0.9
+
+
+def test_the_head_of_the_walking_dog_keeps_the_ball_in_its_picture():
+    pytest.importorskip("mujoco")
+    from envs.base import Command, Scene
+    from envs.quadruped import make, native
+
+    places = np.array([[0.5, 0.3], [0.3, -0.6], [1.0, 0.0], [-0.2, 0.7]], np.float32)
+    scenes = Scene(
+        np.zeros((4, 3), np.float32), places, np.zeros((4, 0, 3), np.float32), seed=np.zeros(4, int)
+    )
+
+    def control(seen, _):
+        turn = jnp.clip(1.5 * seen.theta_ball, -0.8, 0.8)
+        return Command(0.08 * jnp.cos(seen.theta_ball).clip(0), turn)
+
+    run = native.run(make(), scenes, control, "full", num_steps=60)
+    view, seen = Camera(), []
+    for qpos, ball in zip(run.qpos[1:].reshape(-1, 31), run.ball[1:].reshape(-1, 2)):
+        w, i, j, k = qpos[3:7]
+        rows = np.array(
+            [
+                [1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)],
+                [2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i)],
+                [2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j)],
+            ]
+        )
+        point = rows.T @ (np.array([*ball, 0.042]) - qpos[:3])
+        tilt, pan = qpos[19:21]
+        # Through the neck: tilt turns about -y at its base, pan about z 0.048 m above it.
+        x, y, z = point - [0.070, 0.0, 0.025]
+        x, z = x * np.cos(tilt) + z * np.sin(tilt), z * np.cos(tilt) - x * np.sin(tilt) - 0.048
+        x, y = x * np.cos(pan) + y * np.sin(pan) - 0.10, y * np.cos(pan) - x * np.sin(pan)
+        inside = abs(np.arctan2(y, x)) < view.horizontal / 2
+        seen.append(inside and abs(np.arctan2(z, np.hypot(x, y))) < view.vertical / 2)
+    seen = np.array(seen).reshape(60, 4)[10:]
+    assert seen.mean() > 0.9

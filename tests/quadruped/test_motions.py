@@ -8,6 +8,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from envs.quadruped import make, motions
+from experiments import evolve_motion
 
 SHIPPED = sorted(p.stem for p in motions.FOLDER.glob("*.json"))
 
@@ -91,3 +92,14 @@ def test_the_mirror_image_of_set_points_is_that_of_the_joints():
         sign = -1 if joint in ("head_pan", "head_roll", "tail_pan") else 1
         assert value == sign * by_name[other], joint
     np.testing.assert_array_equal(motions.mirrored(image), points)
+
+
+def test_a_kick_is_evolved_and_its_file_can_be_played(tmp_path, capsys):
+    path = tmp_path / "kick.json"
+    evolve_motion.main(
+        ["left", "--generations", "1", "--population", "2", "--seed", "4", "--out", str(path)]
+    )
+    assert "generation 1/1" in capsys.readouterr().out
+    env = make()
+    motion = motions.load(path, motions.standing(env))  # within limits and speeds
+    assert motion.strike > 0 and motions.set_points(motion, env.solver.timestep).shape[1] == 17

@@ -87,7 +87,7 @@ def test_without_a_nature_nothing_is_carried():
     ("options", "message"),
     [
         ({"mass": 0.9}, "mass = 0.9: allowed are 0 to 0.5"),
-        ({"friction_low": 1.5}, "friction_low = 1.5: above friction_high = 1.0"),
+        ({"friction_low": 1.5}, "friction_low = 1.5: must not be above friction_high = 1.0"),
     ],
 )
 def test_wrong_options_are_named(options, message):
