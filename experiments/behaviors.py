@@ -24,7 +24,7 @@ from envs.soccer import Match
 from experiments import script
 from experiments.behaviors_scenes import CASES, LOOK, STEPS, Case, Scene, Trace
 from fntg_jax import robot
-from fntg_jax.robot import locomotion, planner
+from fntg_jax.robot import localization, locomotion, planner
 from fntg_jax.robot.behaviors import BALL_AHEAD
 from fntg_jax.robot.geometry import angle, length
 from fntg_jax.robot.messages import Need, Order
@@ -55,13 +55,15 @@ class Options:
 
 class Told(NamedTuple):
     """What an order is made of.  facts: the Planner's; true: the same where ball and obstacle are
-    those of the match; way: the last step's displacement; left: m of D; kick."""
+    those of the match; way: the last step's displacement; left: m of D; kick; near: distance and
+    direction of the nearest obstacle on the map, in the Planner's way or not."""
 
     facts: planner.Facts
     true: planner.Facts
     way: Any
     left: Any
     kick: Any
+    near: tuple[Any, Any]
 
 
 def _need(f: planner.Facts, told: Told, **given) -> Need:
@@ -86,10 +88,20 @@ def _bioa(told: Told, truth: bool = False):
     f = told.true if truth else told.facts
     x, y = f.d_ball * jnp.cos(f.ball), f.d_ball * jnp.sin(f.ball)
     go = _need(f, told, d_ball=length(x - CAPTURE, y))
+    if not truth:
+        go = go._replace(d_obstacle=told.near[0], obstacle=told.near[1])
     zero = jnp.zeros_like(f.ball)
     seek = _need(f, told, d_ball=zero + BALL_AHEAD, ball=zero + SEARCH, goal=zero)
     need = Need(*(jnp.where(f.known, a, b) for a, b in zip(go, seek)))
     return jnp.where(f.known, 7, 3), need, told.left
+
+
+def _anything_near(team, memory, f: planner.Facts, senses):
+    x, y = f.d_ball * jnp.cos(f.ball), f.d_ball * jnp.sin(f.ball)
+    genes = team.genes._replace(obstacle_side=jnp.float32(9.0))
+    beam = jnp.asarray(senses.proximity), senses.head[1]
+    pose = localization.pose(memory.belief)
+    return planner.nearest(memory.map, pose, genes, team.ground, beam, f.d_ball, f.ball, (x, y))
 
 
 def _keep(told: Told, genes):
@@ -148,7 +160,7 @@ def program(match: Match) -> Callable[..., Trace]:
         way = locomotion.displacement(senses, robot.DT)
         memory, f = robot.perceive(team, memory, senses)
         true = _true(f, truth, match.field, team.genes.obstacle_cap)
-        told = Told(f, true, way, left, kick)
+        told = Told(f, true, way, left, kick, _anything_near(team, memory, f, senses))
         number, need, after = jnp.ones_like(order), _need(f, told), left
         for n, make in enumerate(_orders(team.genes).values()):
             behavior, wanted, rest = make(told)
@@ -237,7 +249,10 @@ def judge(run, team, case: Case, num: int, seed: int) -> dict[str, Any]:
     scene = case.scenes(np.random.default_rng(seed), num)
     order = np.full(num, ORDERS.index(case.order), np.int32)
     shirt = np.full(num, 0 if case.keeper else 1, np.int32)
-    referee = np.full(num, case.order == "planner")
+    whole = case.order == "planner"
+    if whole:  # a field player that may go everywhere
+        team, shirt = team._replace(goalkeeper=jnp.asarray(False)), np.zeros(num, np.int32)
+    referee = np.full(num, whole)
     trace = jax.device_get(run(team, order, shirt, referee, scene))
     counts = np.ones(num, bool)
     if case.undisturbed is not None:

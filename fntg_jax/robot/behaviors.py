@@ -39,6 +39,7 @@ _TURN = 2.0  # 1/s, turning rate for an error of direction
 _GAIN = 1.5  # 1/s, speed for an error of distance
 BALL_AHEAD = 0.20  # m, distance to the ball at which it is circled: the chest is at 0.10 m, the
 # ball's radius 0.042 m, and who stays within 2 cm of a ball that lies holds it, says the referee
+_TOUCH = 0.15  # m, distance to a ball at the chest
 _STILL = 0.006  # m, an error of distance below which nothing is done about it
 
 
@@ -97,7 +98,8 @@ def _circle(need, speeds, radius):
     v_y = jnp.clip(-_GAIN * far * need.goal, -most, most)
     # No stepping around a ball that is not in front yet.
     facing = jnp.maximum(0.0, 1 - jnp.abs(need.ball))
-    v_y = v_y * facing
+    # Nor around one at the chest, which that would push away.
+    v_y = v_y * facing * jnp.clip((need.d_ball - _TOUCH) / 0.03, 0.0, 1.0)
     limit = speeds.omega[DEFAULT]
     omega = jnp.clip(_TURN * need.ball - v_y / far, -limit, limit)
     v = jnp.clip(_GAIN * (need.d_ball - radius), -0.5 * speeds.v[DEFAULT], speeds.v[DEFAULT])
@@ -119,9 +121,9 @@ def dribble(need: Need, speeds: Speeds) -> Motion:
     limit = speeds.omega[style]
     # The ball to the left of the heading needs a step to the left; its offset is d sin(angle).
     offset = need.d_ball * jnp.clip(need.ball, -1.0, 1.0)
-    v_y = jnp.clip(2 * _GAIN * offset, -speeds.v_y[style], speeds.v_y[style])
-    omega = jnp.clip(0.5 * _TURN * (need.goal + need.ball), -limit, limit)
-    ahead = jnp.maximum(0.2, 1 - 2.0 * jnp.abs(need.ball))
+    v_y = jnp.clip(3 * _GAIN * offset, -speeds.v_y[style], speeds.v_y[style])
+    omega = jnp.clip(_TURN * (0.75 * need.goal + 0.25 * need.ball), -limit, limit)
+    ahead = jnp.maximum(0.2, 1 - 3.0 * jnp.abs(need.ball))
     v = jnp.clip(_GAIN * need.distance, 0.0, speeds.v[style]) * ahead
     return _motion(need.d_ball, style, v, v_y, omega)
 
@@ -137,12 +139,10 @@ def bioa(need: Need, speeds: Speeds, trajectory: Bioa) -> Motion:
     DEFAULT and not FAST, which a push fells.
     """
     v, omega = trajectory(need.d_ball, need.d_obstacle, need.ball, need.obstacle)
-    return _motion(
-        need.d_ball,
-        DEFAULT,
-        jnp.clip(v, -speeds.v[DEFAULT], speeds.v[DEFAULT]),
-        omega=jnp.clip(omega, -speeds.omega[DEFAULT], speeds.omega[DEFAULT]),
-    )
+    # Where the body cannot follow it goes the same way slower, instead of another one.
+    over = jnp.maximum(jnp.abs(v) / speeds.v[DEFAULT], jnp.abs(omega) / speeds.omega[DEFAULT])
+    slower = 1 / jnp.maximum(over, 1.0)
+    return _motion(need.d_ball, DEFAULT, v * slower, omega=omega * slower)
 
 
 def goalkeeper(need: Need, speeds: Speeds) -> Motion:
@@ -163,7 +163,7 @@ def rotate(need: Need, speeds: Speeds) -> Motion:
 
     As row 3, from a little further off: the own goal is behind.
     """
-    return _circle(need, speeds, BALL_AHEAD + 0.02)
+    return _circle(need, speeds, BALL_AHEAD + 0.03)
 
 
 def act(behavior: Array, need: Need, speeds: Speeds, trajectory: Bioa) -> Motion:

@@ -15,7 +15,7 @@ from fntg_jax.robot.messages import Pose, Scalar
 _SCAN_PERIOD = 3.0  # s: the head's speed allows a full pan in 1.0 s
 _GLANCE = 0.7  # s, how long a glance at the landmarks lasts
 _UNSURE = 0.10  # rad, of the heading: from here on a glance goes before a ball that is near
-_FAR, _NEAR = -0.2, -0.75  # rad, tilts of a scan: floor from 0.5 m on and landmarks; the feet
+_FAR, _NEAR = -0.2, -1.05  # rad, tilts of a scan: floor from 0.4 m on and landmarks; the chest
 
 
 class Gaze(NamedTuple):

@@ -21,10 +21,12 @@ GOALKEEPER, ATTACKER, SUPPORTER = range(3)
 
 _ROBOT = 0.11  # m, radius of the disc that another robot is taken for (body 0.289 x 0.152 m)
 _AREA_DEPTH, _AREA_SIDE = 0.40, 0.55  # m, of the own penalty area, with a margin for a body
-_LIES = 0.10  # m/s, below which a ball is taken to lie
 _HELD_AHEAD = 0.175  # m, from the centre, within which it lies at the chest
 _DIAGONAL = 0.70711
+_CORNER = 0.68  # of half the mouth, where a shot beside a post is aimed
+_BODY = 0.15  # m, from a robot's centre, within which it stops a ball
 _ROUND = 1.2  # rad, around the ball at a time: a straight way to there does not touch it
+_MIDDLE = 0.3  # m, from the long axis, within which the ball lies in the middle
 _NO_OBSTACLE = 3.0  # m, the distance that BIOA is told where there is none
 
 
@@ -60,7 +62,7 @@ class Facts(NamedTuple):
     kick: the best kick for a ball in its zone; shot: it would roll into the goal past everybody;
     gain: by how much it would bring the ball nearer to the goal, m (-9: no kick's zone has the
     ball); at_wall: the ball lies at a wall; barred: it lies in the own penalty area, where field
-    players have to keep out; waits: the others kick off; held: how long the ball has lain at the
+    players have to keep out; waits: the others kick off; held: how long the ball has been at the
     chest;
     to_own: distance of the ball from the own goal; target, d_target:
     the place of the role; approach, d_approach: the place behind the ball; arrival: time until the
@@ -128,7 +130,8 @@ def facts(
     gx, gy = _opening(east, north, lanes, genes, ground)
     gx, gy, at_wall = _off_wall(gx, gy, east, north, genes, ground)
     keeps = (shirt == 0) & goalkeeper
-    barred = (east < _AREA_DEPTH - ground.half_length) & (jnp.abs(north) < _AREA_SIDE) & ~keeps
+    barred = (east < _AREA_DEPTH - ground.half_length) & (jnp.abs(north) < _AREA_SIDE)
+    barred &= shirt != 0
     aim = _relative(gx, gy, pose)
     misaligned = wrap(aim - ball)
     # The place behind the ball, or on the way round it: no farther round than `_ROUND`.
@@ -136,29 +139,29 @@ def facts(
     px, py = bx - genes.behind * c, by - genes.behind * s
     px, py = pose.x + pose.cos * px - pose.sin * py, pose.y + pose.sin * px + pose.cos * py
     px, py = _inside(px, py, genes.wall, ground)
-    px = _out_of_area(px, py, keeps, ground)
+    px = _out_of_area(px, py, shirt, ground)
     # Far off and misaligned: to the place behind the ball; else to the ball.
     share = jnp.clip(jnp.abs(misaligned) / genes.straight_on - 1.0, 0.0, 1.0)
     tx, ty = east + share * (px - east), north + share * (py - north)
-    tx = _out_of_area(tx, ty, keeps, ground)
+    tx = _out_of_area(tx, ty, shirt, ground)
     approach_x, approach_y = _local(tx, ty, pose)
 
     kick, shot, gain = _best_kick(bx, by, east, north, pose, lanes, genes, kicks, ground)
-    # How long the ball has lain at the chest.
-    slow = memory.velocity[0] ** 2 + memory.velocity[1] ** 2 < _LIES**2
+    # How long the ball has been at the chest: who pushes on the spot feels his feet walk.
     at_chest = (bx > 0.0) & (bx < _HELD_AHEAD) & (jnp.abs(by) < 0.12) & known
-    held = jnp.where(at_chest & slow, held + dt, 0.0)
+    held = jnp.where(at_chest, held + dt, 0.0)
     role = _role(d_ball, misaligned, east, north, known, heard, role, shirt, keeps, genes)
-    # Places: goalkeeper before its line on the ball's side; supporter behind the ball, to the side
-    # that has more room.
+    # Places: goalkeeper before its line on the ball's side; supporter behind and beside the ball.
     keeper_y = jnp.clip(genes.keeper_side * north, -0.8 * ground.half_goal, 0.8 * ground.half_goal)
     keeper_y = jnp.where(known, keeper_y, 0.0)
-    home = jnp.where(known, north, jnp.where(shirt % 2 == 1, 0.5, -0.5))
+    home = jnp.where(shirt % 2 == 1, 0.5, -0.5)
+    # Across the ball from the nearer wall; in the middle on the side where it is already.
+    aside = jnp.where(jnp.abs(north) > _MIDDLE, -north, pose.y - north)
     place_x = jnp.where(known, east - genes.support_behind, -0.4)
-    place_y = jnp.where(known, north - jnp.where(home >= 0, 1, -1) * genes.support_aside, home)
+    place_y = jnp.where(known, north + jnp.where(aside >= 0, 1, -1) * genes.support_aside, home)
     place_x, place_y = _inside(place_x, place_y, genes.wall + 0.05, ground)
     keeper = role == GOALKEEPER
-    place_x = _out_of_area(place_x, place_y, keeps, ground)
+    place_x = _out_of_area(place_x, place_y, shirt, ground)
     place_x = jnp.where(keeper, -ground.half_length + genes.keeper_line, place_x)
     place_y = jnp.where(keeper, keeper_y, place_y)
     target_x, target_y = _local(place_x, place_y, pose)
@@ -170,7 +173,7 @@ def facts(
     crossing = -(by + vy * jnp.minimum(arrival, 3.0))
     to_ball = (role == ATTACKER) | (keeper & (d_ball < genes.keeper_out))
     wx, wy = jnp.where(to_ball, approach_x, target_x), jnp.where(to_ball, approach_y, target_y)
-    d_obstacle, obstacle = _nearest(memory, pose, genes, ground, proximity, d_ball, ball, (wx, wy))
+    d_obstacle, obstacle = nearest(memory, pose, genes, ground, proximity, d_ball, ball, (wx, wy))
     return Facts(
         known=known,
         d_ball=d_ball,
@@ -215,10 +218,10 @@ def _inside(x, y, margin, ground):
     return jnp.clip(x, -half_x, half_x), jnp.clip(y, -half_y, half_y)
 
 
-def _out_of_area(x, y, keeps, ground):
-    """x of a place, moved out of the own penalty area unless the robot keeps the goal."""
+def _out_of_area(x, y, shirt, ground):
+    """x of a place, moved out of the own penalty area, which only shirt 0 may be in."""
     edge = jnp.where(jnp.abs(y) < _AREA_SIDE + 0.1, _AREA_DEPTH + 0.1 - ground.half_length, -9.0)
-    return jnp.where(keeps, x, jnp.maximum(x, edge))
+    return jnp.where(shirt == 0, x, jnp.maximum(x, edge))
 
 
 def _lanes(memory, pose, bx, by, genes):
@@ -245,8 +248,8 @@ def _opening(east, north, lanes, genes, ground):
     """Direction (x, y) from the ball to where the opponents' goal is most open."""
     best, gx, gy = jnp.full_like(east, -9.0), jnp.ones_like(east), jnp.zeros_like(east)
     for share in (0.0, 1.0, -1.0):
-        # Two thirds of the way from the middle to a post; the middle where all is open.
-        dx, dy = ground.half_length + 0.1 - east, share * 0.6 * ground.half_goal - north
+        # Beside the posts, or the middle where all is open.
+        dx, dy = ground.half_length + 0.1 - east, share * _CORNER * ground.half_goal - north
         far = length(dx, dy)
         ux, uy = dx / far, dy / far
         room = jnp.minimum(_room(ux, uy, far, lanes), genes.lane) + (0.03 if share == 0 else 0.0)
@@ -288,15 +291,19 @@ def _best_kick(bx, by, east, north, pose, lanes, genes, kicks, ground):
         to_line = (ground.half_length - east) / jnp.maximum(ux, 0.05)
         at_line = jnp.abs(north + uy * to_line)
         shot = (at_line < ground.half_goal - genes.post) & (ux > 0.05) & (to_line < 0.8 * reach)
-        shot &= _room(ux, uy, to_line, lanes) > 0.5 * genes.lane
-        # Where it ends: walls throw it back half as far.
+        shot &= _room(ux, uy, to_line, lanes) > 0.8 * genes.lane
+        # Where it ends: at the first opponent; walls throw it back half as far.
+        for ox, oy, counts in lanes:
+            along, beside = ox * ux + oy * uy, jnp.abs(ox * uy - oy * ux)
+            stops = counts & (along > 0.05) & (beside < _BODY)
+            reach = jnp.where(stops, jnp.minimum(reach, along - _BODY), reach)
         x, y = east + reach * ux, north + reach * uy
         x = x - 1.5 * (x - jnp.clip(x, -ground.half_length, ground.half_length))
         y = y - 1.5 * (y - jnp.clip(y, -ground.half_width, ground.half_width))
         gain = now - length(goal_x - x, y)
         # Never at the own goal.
         to_own = (ground.half_length + east) / jnp.maximum(-ux, 0.05)
-        danger = (ux < 0) & (jnp.abs(north + uy * to_own) < ground.half_goal + 0.2)
+        danger = (ux < 0) & (jnp.abs(north + uy * to_own) < ground.half_goal + 0.1)
         gain = jnp.where(danger & (to_own < reach), -5.0, gain) + jnp.where(shot, 3.0, 0.0)
         better = there & (gain > most)
         best, goes_in = jnp.where(better, n, best), jnp.where(better, shot, goes_in)
@@ -327,7 +334,16 @@ def _role(d_ball, misaligned, east, north, known, heard, last, shirt, keeper, ge
     return jnp.where(keeper, GOALKEEPER, role)
 
 
-def _nearest(memory, pose, genes, ground, proximity, d_ball, ball, way):
+def nearest(
+    memory: LocalMap,
+    pose: Pose,
+    genes: Genes,
+    ground: Ground,
+    proximity: tuple[Scalar, Scalar],
+    d_ball: Scalar,
+    ball: Scalar,
+    way: tuple[Scalar, Scalar],
+) -> tuple[Scalar, Scalar]:
     """Distance (m, to the surface) and direction of the nearest of walls, robots on the map and
     what the infrared sensor meets, the ball apart, that is in the way to a place (x, y; m)."""
     far = length(*way)
@@ -403,7 +419,7 @@ RULES = (
         1,
     ),
     Rule(
-        "the ball has lain at the chest for {hold} s: step back",
+        "the ball has been at the chest for {hold} s: step back",
         lambda f, g: f.held > g.hold,
         4,
         lambda f, g: {"distance": jnp.full_like(f.d_ball, -0.1)},
