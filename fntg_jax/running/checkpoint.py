@@ -57,9 +57,9 @@ def to_arrays(run: Run) -> dict[str, np.ndarray]:
 
 def most_bytes(problem: Problem) -> int:
     """What the arrays of a checkpoint may take unpacked."""
-    memory = ()
-    if problem.task is not None:
-        memory = jax.eval_shape(lambda: problem.task.init(jax.random.key(0)))
+    memory, task = (), problem.task
+    if task is not None:
+        memory = jax.eval_shape(lambda: task.init(jax.random.key(0)))
     each = sum(_size(x) for x in jax.tree.leaves(memory))
     config = problem.config
     return config_file.most_bytes(config, len(problem.genes), config.seeds * each)

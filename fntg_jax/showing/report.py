@@ -49,6 +49,7 @@ def page(folder: Path, num_scenes: int = 500, suite: str = "blocked") -> str:
     except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"{folder / 'provenance.json'}: not JSON ({error})") from None
     world, env = run.problem.world, run.problem.env
+    assert world is not None and env is not None  # as in every run of bioa
     panels = replay.record("this controller", controller, world, suite, (0, 1))
     results = [
         evaluation.evaluate(controller, world, name, num_scenes, env=env)
@@ -141,6 +142,7 @@ def _pictures(
 ) -> dict[str, Any]:
     """All pictures of the page, by their names in the template."""
     world, env = run.problem.world, run.problem.env
+    assert world is not None and env is not None  # as in every run of bioa
     params = controller.params32
     scenes = world.suites["paper"](jax.random.key(0), 4)
     record = jax.jit(jax.vmap(lambda s: trajectory(params, s, env, output=controller.output)))
