@@ -127,6 +127,7 @@ _FILMS = (".webp", ".gif", ".mp4")
 def _check_film(options: MatchOptions) -> None:
     import shutil
 
+    assert options.film is not None
     suffix = options.film.suffix.lower()
     if suffix not in _FILMS or not options.film.parent.is_dir():
         raise ValueError(
@@ -154,7 +155,7 @@ def _physical(options: MatchOptions, match, sides):
         match,
         bodies,
         sides,
-        options.matches,
+        options.matches or 1,
         options.seed,
         keep,
         lambda done, total: say(f"{done} of {total} matches"),
