@@ -141,7 +141,8 @@ def decode(kind: Kind, genes: np.ndarray, standing: np.ndarray):
                 new[j] = low + share[pose * len(kind.joints) + n] * (high - low)
         took = max(0.02, float(np.max(np.abs(new - point) / motions.SPEED))) * 1.01
         # Rounded as in the file, times up.
-        time, point = math.ceil((time + took) * 1000) / 1000, np.round(new, 4)
+        inside = np.ceil(motions.LOW * 1e4) / 1e4, np.floor(motions.HIGH * 1e4) / 1e4
+        time, point = math.ceil((time + took) * 1000) / 1000, np.clip(np.round(new, 4), *inside)
         strike = time
         frames.append((time, point))
         if waits[pose]:
