@@ -71,7 +71,7 @@ def main() -> None:
         script.check_least(options, steps=100)
     xla.configure()
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    table = colours.load("ers210")
+    table, bands = colours.load("ers210"), vision.bands(FIELD)
     file = team_file.load(cerberus.SHIPPED)
     team = cerberus.of(file.genes, file.bioa, Match(), 0)
     begin = robot.begin(team, jnp.int32(1), jnp.zeros(3))
@@ -79,7 +79,7 @@ def main() -> None:
 
     @jax.jit
     def pixels(memory, senses, picture):
-        frame = vision.see(picture, table, vision.Team(), FIELD).frame
+        frame = vision.see(picture, table, vision.Team(), bands).frame
         return robot.control(team, memory, senses._replace(frame=frame))
 
     @jax.jit
