@@ -258,7 +258,7 @@ def explain(figure: Any) -> None:
         "obstacle": {"marker": "o", "color": "0.45", "markersize": 10},
         "0.145 m around it": {"color": "0.45", "linestyle": ":"},
     }
-    usual = {"color": "0.3", "linestyle": "", "markeredgewidth": 0.5}
+    usual: dict[str, Any] = {"color": "0.3", "linestyle": "", "markeredgewidth": 0.5}
     figure.legend(
         [Line2D([], [], **(usual | style)) for style in styles.values()],
         list(styles),
