@@ -51,7 +51,7 @@ def look(
         (*r.x.shape, count - 1),
     )
 
-    def one(args: tuple[Array, ...]) -> Array:
+    def one(args) -> Array:
         pose, neck, ball, others, team, present, light, seed = args
         ball = jnp.append(ball, field.ball_radius)
         scene = image.Scene(ball, others, team, present)
@@ -69,7 +69,12 @@ def look(
         flat(light),
         flat(noise.bits(key, 901).astype(jnp.int32)),
     )
-    # Not `jax.lax.map`: XLA (jax 0.10.2, CPU) compiles that for minutes.
-    pictures = jax.vmap(one)(rows)
+    # On a CPU one after the other: a picture then stays in the cache.
+    draw = (lambda rows: jax.lax.map(one, rows)) if _on_cpu() else jax.vmap(one)
+    pictures = draw(rows)
     pictures = pictures.reshape(*r.x.shape, *pictures.shape[1:])
     return jnp.moveaxis(pictures, (-3, -2, -1), (0, 1, 2))
+
+
+def _on_cpu() -> bool:
+    return jax.default_backend() == "cpu"
