@@ -1,6 +1,6 @@
 """Independent PPO in the match: robots that learn to score against robots that stand still.
 
-    python -m experiments.ippo [--players 1] [--steps 4000000] [--seed 0] [--out runs/ippo]
+    python -m experiments.ippo [--players 1] [--steps 10000000] [--seed 0] [--out runs/ippo]
 
 The baseline that one would pick from elsewhere: every home robot is a PPO learner of its own senses
 (one network for all of them), in PureJaxRL's shape.  The environment is
@@ -36,7 +36,7 @@ class Options:
     ippo.csv and ippo.png."""
 
     players: int = 1
-    steps: int = 4_000_000
+    steps: int = 10_000_000
     minutes: float = 0.5
     seed: int = 0
     goal: float = 5.0
