@@ -124,7 +124,7 @@ class Head(NamedTuple):
     Positive tilt looks up, positive pan looks left.  Defaults: ERS-210 (Sony model information).
     """
 
-    base: tuple[float, float, float] = (0.070, 0.0, 0.130)
+    base: tuple[Any, Any, Any] = (0.070, 0.0, 0.130)
     neck: float = 0.048
     nose: float = 0.050
     low: tuple[float, float, float] = (math.radians(-82), math.radians(-89.6), math.radians(-29))

@@ -254,9 +254,9 @@ def judge(run, team, case: Case, num: int, seed: int) -> dict[str, Any]:
         team, shirt = team._replace(goalkeeper=jnp.asarray(False)), np.zeros(num, np.int32)
     referee = np.full(num, whole)
     trace = jax.device_get(run(team, order, shirt, referee, scene))
-    counts = np.ones(num, bool)
+    counts: Any = np.ones(num, bool)
     if case.undisturbed is not None:
-        absent = scene._replace(own=np.broadcast_to(np.float32([0, 3, 0]), (num, 3)))
+        absent = scene._replace(own=np.broadcast_to(np.array([0, 3, 0], np.float32), (num, 3)))
         counts = case.undisturbed(jax.device_get(run(team, order, shirt, referee, absent)), scene)
     good = case.good(trace, scene)[counts]
     rate = wilson(int(good.sum()), len(good))

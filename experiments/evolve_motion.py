@@ -183,15 +183,15 @@ def costs(env, kind: Kind, population: np.ndarray, rng: np.random.Generator) -> 
 
     standing = motions.standing(env)
     decoded = [decode(kind, genes, standing) for genes in population]
-    points = []
+    paths = []
     for frames, strike, _ in decoded:
         times = np.array([0.0, *(t for t, _ in frames)])
         path = np.array([standing, *(p for _, p in frames)])
-        points.append(
+        paths.append(
             motions.set_points(motions.Motion("", times, path, strike), env.solver.timestep)
         )
-    length = max(map(len, points))
-    points = np.array([np.pad(p, ((0, length - len(p)), (0, 0)), "edge") for p in points])
+    length = max(map(len, paths))
+    points = np.array([np.pad(p, ((0, length - len(p)), (0, 0)), "edge") for p in paths])
     points = np.repeat(points, PLACES, axis=0)
     noise = np.random.default_rng(rng.integers(2**31))
     balls = np.concatenate([motions.displaced(noise, ball, PLACES) for *_, ball in decoded])

@@ -14,6 +14,7 @@ import dataclasses
 import time
 from collections import namedtuple
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -214,7 +215,11 @@ def run(o: Options) -> tuple[list, dict]:
         runner, log = learn(runner)
         curve.append([(n + 1) * o.matches * LENGTH, time.perf_counter() - start, *map(float, log)])
     after = np.asarray(jax.jit(lambda net: test(o, net, other))(runner[0]))
-    found = {"steps": curve[-1][0], "seconds": curve[-1][1], "goals": float(after[:, 0].mean())}
+    found: dict[str, Any] = {
+        "steps": curve[-1][0],
+        "seconds": curve[-1][1],
+        "goals": float(after[:, 0].mean()),
+    }
     found["goals_interval"] = bootstrap_mean_of_counts(after[:, 0])
     return curve, {**found, "conceded": float(after[:, 1].mean())}
 

@@ -205,8 +205,8 @@ def measure(run, team, parts: Parts, options: Options) -> dict[str, Any]:
     seeds = matches.match_seeds(num * CHUNK, options.seed).reshape(num, CHUNK)
     parts_of = [jax.device_get(run(team, parts, row)) for row in seeds]
     goals = np.concatenate([found[0] for found in parts_of])
-    watched = [found[2] for found in parts_of]
-    watched = Watched(*(np.concatenate(leaves, axis=-1) for leaves in zip(*watched)))
+    seen = zip(*(found[2] for found in parts_of))
+    watched = Watched(*(np.concatenate(leaves, axis=-1) for leaves in seen))
     mean = lambda a: (float(a.mean()), *statistics.bootstrap_mean_of_counts(a))  # noqa: E731
     ours, theirs = goals[:, 0], goals[:, 1]
     return {

@@ -167,7 +167,7 @@ def plot(results: Results, path: Path) -> Path:
     axes[1, 3].axis("off")
     axes[1, 3].legend(*axes[0, 0].get_legend_handles_labels(), loc="center")
     path = plots.save(figure, path)
-    rows = [
+    table = [
         (name, seed, d.option, f"{level:g}", suite, f"{value:.6g}")
         for d, of_levels in zip(DISTURBANCES, results.success)
         for level, of_rows in zip(d.levels, of_levels)
@@ -176,7 +176,7 @@ def plot(results: Results, path: Path) -> Path:
         for suite, value in zip(SUITES, of_rows[row])
     ]
     header = ("controllers", "seed", "disturbance", "level", "suite", "success")
-    script.write_csv(path.with_suffix(".csv"), header, rows)
+    script.write_csv(path.with_suffix(".csv"), header, table)
     return path
 
 

@@ -56,7 +56,9 @@ def success(controller, suite: str, num: int) -> dict:
     scenes = jax.tree.map(np.asarray, evaluation.held_out_scenes(world, suite, num))
     seen, v, omega = native.episodes(scenes, lambda o: controller(*o))
     judge = jax.vmap(rollout.outcome_of, in_axes=(1, 1, 0))
-    outcome = judge(seen, Command(v, omega), np.zeros(num, bool))
+    outcome = judge(
+        seen, Command(jax.numpy.asarray(v), jax.numpy.asarray(omega)), np.zeros(num, bool)
+    )
     parts = fitness.success(outcome)
     return {"equations": lean, "MuJoCo": wilson(int(np.sum(np.asarray(parts.success))), num)}
 

@@ -94,10 +94,8 @@ def action_of(v: Any, omega: Any, limits: Any) -> np.ndarray:
 
 def _reset(env: Environment, scene: Scene) -> tuple[_Episode, Any]:
     world = env.reset(scene)
-    zeros = jnp.zeros(len(SAMPLE_STEPS))
-    nothing = Outcome(
-        zeros, zeros, zeros, env.measure(world).d_obstacle, jnp.zeros(()), jnp.zeros((), bool)
-    )
+    zeros, near = jnp.zeros(len(SAMPLE_STEPS)), jnp.asarray(env.measure(world).d_obstacle)
+    nothing = Outcome(zeros, zeros, zeros, near, jnp.zeros(()), jnp.zeros((), bool))
     return _Episode(world, jnp.zeros((), jnp.int32), nothing), jnp.stack(env.observe(world))
 
 

@@ -67,11 +67,12 @@ def make(impl: str = "structured", /, **options: float) -> Any:
             f"MUJOCO_GL = {chosen!r}: MuJoCo does not start with it ({error}); unset it, or set egl"
             " (Debian: libegl1 libgl1-mesa-dri) or osmesa (libosmesa6)"
         ) from error
+    fields: dict[str, Any] = dict(options)
     return standing(
         limits=limits,
         solver=Solver(impl, _TIMESTEP, substeps),
         nature=Nature(**drawn) if drawn else None,
-        **options,
+        **fields,
     )
 
 

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from envs.base import Limits, Observation, Scalar, Scene, Snapshot
@@ -68,7 +69,7 @@ class Quadruped:
     """
 
     gait: Gait
-    rest: Float[Array, "19"]
+    rest: Float[np.ndarray, "19"]
     limits: Limits = Limits(**c.OWN)
     servo_speed: Scalar = 1.0
     fall_tilt: Scalar = 0.7

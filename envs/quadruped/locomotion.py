@@ -108,8 +108,8 @@ def load_gait(path: Path | str = DEFAULT_GAIT) -> Gait:
             raise ValueError(
                 f"gait {path}: calibration.rows: allowed are rows of six finite numbers"
             )
-    table = table and fit(table["rows"], table["scale"])
-    return Gait(**{name: float(value) for name, value in values.items()}, calibration=table)
+    calibration = fit(table["rows"], table["scale"]) if table else None
+    return Gait(**{name: float(value) for name, value in values.items()}, calibration=calibration)
 
 
 def leg_forward(q: Float[Array, "*b 4 3"]) -> Float[Array, "*b 4 3"]:

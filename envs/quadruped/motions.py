@@ -162,8 +162,8 @@ def play(env: Quadruped, points: np.ndarray, qpos: np.ndarray, qvel: Any = None)
             speeds.append(np.abs(states[:, :, joints : joints + 17]))
             path.append(at)
     ratio = np.quantile(np.concatenate(speeds, axis=1), 0.99, axis=1) / SPEED
-    path = np.array(path)
-    return Played(path[..., : model.nq], path[..., model.nq :], ratio.max(axis=1))
+    whole = np.array(path)
+    return Played(whole[..., : model.nq], whole[..., model.nq :], ratio.max(axis=1))
 
 
 class Kicked(NamedTuple):

@@ -379,7 +379,7 @@ class Match:
         else:
             heard, whole = sound.heard(state.talk)
         if self.camera == "image":
-            frame = pictures.look(state, self.field, self.lens, self.head, key, lane_key)
+            frame: Any = pictures.look(state, self.field, self.lens, self.head, key, lane_key)
         else:
             frame = seeing.look(
                 state, self.field, self.lens, self.head, self.sights, height, key, perfect

@@ -23,7 +23,8 @@ def make(**options: float) -> Any:
     dt = options.get("dt", 0.1)
     if abs(round(dt / SUBSTEP) * SUBSTEP - dt) > 1e-6:
         raise ValueError(f"env option dt = {dt}: allowed are multiples of {SUBSTEP}")
-    return Wheeled(limits=limits, **options)
+    fields: dict[str, Any] = dict(options)
+    return Wheeled(limits=limits, **fields)
 
 
 world = World(make, scenes.SUITES, mix.Mix, FIELD)

@@ -111,7 +111,8 @@ class Wheeled:
         moved = jax.lax.fori_loop(0, num, substep, tuple(state[:6]))
         ball = roll_ball(state.ball, self.dt, self.ball_deceleration, self.field)
         discs = tuple(move_disc(d, self.dt, self.field) for d in state.discs)
-        return State(*moved, ball, discs)
+        x, y, cos, sin, left, right = moved
+        return State(x, y, cos, sin, left, right, ball, discs)
 
     def measure(self, state: State) -> Observation:
         """True distances and angles."""

@@ -81,6 +81,7 @@ def _format(options: ExportOptions) -> str:
     another than `to`, or where something stands there that is not ours."""
     from fntg_jax.files import check_out
 
+    assert options.out is not None
     check_out(options.out)
     to = _SUFFIXES.get(options.out.suffix.lower())
     if to is None:

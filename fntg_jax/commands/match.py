@@ -181,7 +181,8 @@ def _watch(options: MatchOptions, match, sides) -> None:
     from fntg_jax.showing import film, match_film, match_page
 
     seeds = matches.match_seeds(1, options.seed)
-    history = jax.jit(lambda s: play.record(match, *sides, s))(seeds[0])
+    home, away = sides
+    history = jax.jit(lambda s: play.record(match, home, away, s))(seeds[0])
     shown = match_page.recording(match, jax.device_get(history), sides, match.calls)
     if options.html is not None:
         with writing(options.html, "html"):

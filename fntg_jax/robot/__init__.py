@@ -132,7 +132,7 @@ def perceive(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, planne
     """Vision, Localization, Communication, and what the Planner's decision rests on."""
     # Vision: what is seen, in the robot's frame.
     frame = senses.frame
-    if team.table is not None:
+    if team.table is not None and team.bands is not None:
         frame = vision.see(frame, team.table, vision.Team(), team.bands).frame
     seen = sight.locate(frame, senses.head, team.sizes)
     # Locomotion's estimate of the way since the last step.
@@ -153,7 +153,7 @@ def perceive(team: Team, memory: Memory, senses: Senses) -> tuple[Memory, planne
     pose = localization.pose(belief)
     # Communication: words of the teammates.
     words, whole, listening = senses.heard, senses.heard_valid, memory.hearing
-    if listening is not None:
+    if listening is not None and team.voice is not None:
         # The samples are those of the step before.
         listening, words, whole = ear.listen(listening, words, team.voice, memory.step - 1)
     heard = communication.merge(memory.heard, words, whole, memory.shirt, DT)

@@ -6,7 +6,7 @@ fixed, `jax.vmap` makes batches.  `sight.locate` turns the `Frame` into distance
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -145,7 +145,7 @@ def _see(picture, table: Colours, team: Team, marks: Array, camera: Camera) -> S
         na, nb = (1 / jnp.sqrt(1 + p * p + q * q) for p, q in ((la, ua), (lb, ub)))
         return jnp.sqrt((la * na - lb * nb) ** 2 + (ua * na - ub * nb) ** 2 + (na - nb) ** 2)
 
-    rows = []
+    rows: list[Any] = []
 
     # Ball: as wide as its box or, where that is cut or frayed, as its area says.
     balls = []

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from envs.base import Environment, Task, World
+from envs.base import Task
 from fntg_jax.controller.layout import HIGH, LOW, get_layout
 from fntg_jax.learning import objective
 from fntg_jax.learning.objective import VALIDATION, Static, Traced
@@ -36,9 +36,10 @@ class Problem(NamedTuple):
     config: TrainConfig
     genes: tuple[Any, ...]
     task: Task | None = None
-    world: World | None = None
+    # Any: of bioa, whose code alone reads them, they are a World and an Environment.
+    world: Any = None
     layout: Any = None
-    env: Environment | None = None
+    env: Any = None
     suite: Any = None
 
     @property

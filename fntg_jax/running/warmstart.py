@@ -121,7 +121,7 @@ def _genes(file: Path, problem: Problem) -> np.ndarray:
     """Genes in (-5, 5) out of a params.json of a task other than bioa (`genes.document`)."""
     try:
         document = json.loads(read_text(file, "parameter file"))
-        found = document["genes"] if document["format"] == "fntg-genes" else None
+        found: Any = document["genes"] if document["format"] == "fntg-genes" else None
         names, units = [g["name"] for g in found], [g["unit"] for g in found]
         values = [g["value"] for g in found]
     except (KeyError, TypeError, RecursionError, json.JSONDecodeError) as error:

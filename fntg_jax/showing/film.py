@@ -11,7 +11,7 @@ import tempfile
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -69,6 +69,7 @@ def shoot(
     def control(seen):
         return network.command(params, seen, env.limits, controller.output)
 
+    assert world.film is not None
     film = world.film(env, scenes, control, window)
     judge = jax.vmap(rollout.outcome_of, in_axes=(1, 1, 0))
     outcomes = jax.tree.map(np.asarray, judge(film.measured, film.command, film.failed))
@@ -104,7 +105,7 @@ def animation(shots: list[Shot], image_format: str, width: int = 0) -> tuple[byt
     reels = [shot.draw(width, height) for shot in shots]
     length = max(map(len, reels))
     rows = math.ceil(len(shots) / columns)
-    frames = []
+    frames: list[Any] = []
     for n in [*range(length), length - 1]:
         last = len(frames) == length
         frame = Image.new("RGB", (columns * width, rows * height))

@@ -64,11 +64,13 @@ def _frame(match: Recording, n: int, final: bool = False) -> Any:
             ends = (*at(*match.ball[k]), *at(*match.ball[k + 1]))
             draw.line(ends, fill="#e8a860", width=2 * pen)
     num = match.robots.shape[1]
-    for k in np.flatnonzero(match.on[n]):
+    for k in range(num):
+        if not match.on[n][k]:
+            continue
         x, y, heading, pan = match.robots[n, k]
         _robot(draw, at, scale, match.size, (x, y, heading, pan), _TEAMS[int(2 * k >= num)])
         draw.text(at(x, y), str(k % (num // 2) + 1), fill=_WHITE, anchor="mm", font_size=26)
-    disc(*match.ball[n], field.ball_radius, _ORANGE)
+    disc(float(match.ball[n, 0]), float(match.ball[n, 1]), field.ball_radius, _ORANGE)
     picture = picture.resize((size[0] // _SMOOTH, size[1] // _SMOOTH), Image.Resampling.LANCZOS)
     whole = Image.new("RGB", (picture.width, picture.height + _HEAD), _DARK)
     whole.paste(picture, (0, _HEAD))

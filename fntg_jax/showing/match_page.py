@@ -137,7 +137,7 @@ def recording(
             heading = beliefs[:, rows, 2] + np.where(turned, np.pi, 0)
             beliefs[:, rows, 2] = (heading + np.pi) % (2 * np.pi) - np.pi
     words = [side.words for side in sides]
-    says = np.asarray(history.action.say).any(-1)
+    says = np.asarray(np.asarray(history.action.say).any(-1))
     return Recording(
         dt=match.dt,
         teams=(sides[0].name, sides[1].name),
@@ -152,5 +152,5 @@ def recording(
         roles=tuple(word.roles for word in words),
         behaviors=tuple(word.behaviors for word in words),
         rules=tuple(word.rules for word in words),
-        says=np.concatenate([says, says[-1:] & False]),
+        says=np.concatenate([says, np.zeros_like(says[-1:])]),
     )
