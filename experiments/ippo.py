@@ -14,7 +14,6 @@ import dataclasses
 import time
 from collections import namedtuple
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -215,13 +214,9 @@ def run(o: Options) -> tuple[list, dict]:
         runner, log = learn(runner)
         curve.append([(n + 1) * o.matches * LENGTH, time.perf_counter() - start, *map(float, log)])
     after = np.asarray(jax.jit(lambda net: test(o, net, other))(runner[0]))
-    found: dict[str, Any] = {
-        "steps": curve[-1][0],
-        "seconds": curve[-1][1],
-        "goals": float(after[:, 0].mean()),
-    }
-    found["goals_interval"] = bootstrap_mean_of_counts(after[:, 0])
-    return curve, {**found, "conceded": float(after[:, 1].mean())}
+    found = {"steps": curve[-1][0], "seconds": curve[-1][1], "goals": float(after[:, 0].mean())}
+    interval = bootstrap_mean_of_counts(after[:, 0])
+    return curve, {**found, "goals_interval": interval, "conceded": float(after[:, 1].mean())}
 
 
 def draw(curve: list, o: Options, path: Path) -> None:

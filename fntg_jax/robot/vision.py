@@ -17,7 +17,7 @@ from fntg_jax.robot import colours
 from fntg_jax.robot.colours import Colours
 from fntg_jax.robot.components import Runs, runs
 
-_RUNS = 1024  # of a picture; rendered ones have up to 400, and what has more is no field
+_RUNS = 1024  # of a picture; rendered ones had up to 340, and what has more is no field
 _PINK, _BALLS, _GOALS, _ROBOTS = 6, 2, 3, 3  # components of a colour that are looked at
 _SURE = 0.5  # mean share of pixels of their colours that are of this class
 _SMALLEST = 9  # pixels of a component; a ball at 2 m has about 30

@@ -135,8 +135,8 @@ def together(advice: str) -> Iterator[None]:
     there and then: a small process beside it has the last word.
 
     Without it, measured with jax 0.10.2 and one of two idle or busy processes killed: the other
-    ends 0.2 to 0.5 s later where process 0 was lost and 28 s later where it was the other one, both
-    times by SIGABRT, and the last of some forty lines is an address of a C++ stack.
+    ends 0.2 to 0.5 s later where process 0 was lost and 28 s later where it was the other one, all
+    four times by SIGABRT and without a last line that says why.
 
     Args:
         advice: in that line, how to go on.
