@@ -150,7 +150,7 @@ class Bioa(Env):
 
     @property
     def action_size(self) -> int:
-        return len(Command._fields)
+        return 2  # v and omega
 
     @property
     def backend(self) -> str:

@@ -114,6 +114,6 @@ def write_trials_csv(path: Path, trials: Trials) -> None:
     trial, step = np.indices((num_trials, num_steps))
     columns = [trial + 1, step * trials.dt, *np.moveaxis(robot, -1, 0)]
     columns += [np.asarray(x)[:, :-1] for x in t.measured]
-    columns += [np.asarray(x) for x in t.command]
+    columns += [np.asarray(x) for x in (t.command.v, t.command.omega)]
     header = "trial,time,x,y,heading,d_ball,d_obstacle,theta_ball,theta_obstacle,v,omega"
     write_csv(path, header, [c.ravel() for c in columns])

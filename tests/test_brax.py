@@ -117,7 +117,8 @@ def test_actions_span_the_limits(driven):
         command = env.command(jnp.asarray(action, jnp.float32))
         np.testing.assert_allclose((command.v, command.omega), (v, omega), atol=1e-7)
     command = Command(jnp.asarray(0.07), jnp.asarray(-0.4))
-    np.testing.assert_allclose(env.command(env.action(command)), command, rtol=1e-6)
+    back = env.command(env.action(command))
+    np.testing.assert_allclose(back[:2], command[:2], rtol=1e-6)
 
 
 def test_registered_names_and_options(adapter):

@@ -207,7 +207,7 @@ def test_unreadable_files_are_refused(tmp_path):
     binary.write_bytes(b"\xff\xfe{}")
     for path, why in (
         (tmp_path / "none.json", "No such file"),
-        (tmp_path, "Is a directory"),
+        (tmp_path, "No such file"),
         (huge, "1000000 bytes"),
         (binary, "UTF-8"),
     ):

@@ -49,7 +49,7 @@ def commands(layout, thetas, observations, limits=Limits(), output="scale", dtyp
         seen = tuple(jnp.asarray(observations.T, dtype))
         found = jitted_command(slots_of(layout, thetas.astype(dtype)), seen, limits, output)
         assert found.v.dtype == dtype
-        return np.stack(found, axis=-1)
+        return np.stack((found.v, found.omega), axis=-1)
 
 
 @each_layout

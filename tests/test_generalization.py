@@ -49,7 +49,7 @@ TINY = dataclasses.replace(
 
 @pytest.mark.slow
 def test_evolved_controllers_are_those_of_the_run(monkeypatch):
-    monkeypatch.setattr(problem, "_VALIDATION", 32)
+    monkeypatch.setattr(problem, "VALIDATION", 32)
     found = list(generalization.evolved(TINY, 2))
     result = runner.train(dataclasses.replace(TINY, seeds=2)).conclude()
     assert [seed for seed, _, _ in found] == [0, 1]

@@ -19,7 +19,7 @@ def spread(seeds, counts, conclude):
         refine_steps=3, refine_scenes=32,
         ga=dataclasses.replace(config.ga, population=48),
     )
-    problem._VALIDATION, choice._SCREENING = 96, 64
+    problem.VALIDATION, choice._SCREENING = 96, 64
     devices = jax.devices()
     found = []
     for num in counts:

@@ -82,7 +82,7 @@ def test_a_partition_starts_with_labels_that_divide_their_input():
 
 
 def test_the_final_controller_is_the_best_of_its_population_on_validation_scenes(monkeypatch):
-    monkeypatch.setattr(problem, "_VALIDATION", 64)
+    monkeypatch.setattr(problem, "VALIDATION", 64)
     config = dataclasses.replace(
         settings.PRESETS["robust"],
         ga=dataclasses.replace(settings.PRESETS["robust"].ga, population=64),
@@ -137,7 +137,7 @@ def barely_evolved(**options):
 
 
 def test_covariance_adaptation_continues_from_the_best_of_the_population(monkeypatch):
-    monkeypatch.setattr(problem, "_VALIDATION", 64)
+    monkeypatch.setattr(problem, "VALIDATION", 64)
     config = barely_evolved(seeds=2, refine_steps=90, refine_top=2)
     plain = runner.train(dataclasses.replace(config, refine_steps=0)).conclude()
     shown = []
@@ -156,7 +156,7 @@ def test_covariance_adaptation_continues_from_the_best_of_the_population(monkeyp
 
 
 def test_validation_scenes_are_a_share_of_every_suite_and_not_trained_on(monkeypatch):
-    monkeypatch.setattr(problem, "_VALIDATION", 50)
+    monkeypatch.setattr(problem, "VALIDATION", 50)
     config = dataclasses.replace(barely_evolved(), suite="open:3,blocked:2", scene_pool=450)
     run = runner.Run(problem.resolve(config))
     pool, held = (np.asarray(s.start) for s in (run.scenes, run.validation))
@@ -172,7 +172,7 @@ def test_validation_scenes_are_a_share_of_every_suite_and_not_trained_on(monkeyp
 
 @pytest.mark.slow
 def test_gradients_continue_from_the_best_of_the_population(monkeypatch):
-    monkeypatch.setattr(problem, "_VALIDATION", 64)
+    monkeypatch.setattr(problem, "VALIDATION", 64)
     config = barely_evolved(refine_method="gradient", refine_steps=20, refine_rate=0.01)
     plain = runner.train(dataclasses.replace(config, refine_steps=0)).conclude()
     result = runner.train(config).conclude()

@@ -58,7 +58,7 @@ def _trial(genes, start, ball, obstacles, dt=0.1):
 
     def control_step(pose, _):
         seen = look(pose)
-        v, omega = network.command(params, seen)
+        v, omega, _ = network.command(params, seen)
         x, y, heading = pose
         half_turn = omega * dt / 2
         length = v * dt * jnp.sinc(half_turn / jnp.pi)

@@ -9,6 +9,7 @@ import tyro
 
 from fntg_jax.commands.cli import load_controller, parse, say
 from fntg_jax.running import registry, xla
+from fntg_jax.running.settings import MOST_SCENES
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +50,7 @@ def main(argv: list[str]) -> None:
         registry.get_suite(world, options.suite)
     env = evaluation.environment_for(controller, world, **options.env_options)
     suites = evaluation.held_out_suites(world) if options.suite == "all" else [options.suite]
-    if options.scenes > 50_000:
+    if 50_000 < options.scenes <= MOST_SCENES:
         say(f"drawing {options.scenes} scenes a suite ...")
     results = [
         evaluation.evaluate(controller, world, suite, options.scenes, options.seed, env)

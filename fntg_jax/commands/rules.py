@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
@@ -66,7 +67,7 @@ def _is_team(path: Path) -> bool:
     """Whether a team is meant: the name of an installed one, or a team file."""
     from fntg_jax.running import matches
 
-    if not path.exists():
+    if not os.path.exists(path):  # a name that is too long does not exist
         return path.name == str(path) and str(path) in matches.team_names()
     if path.suffix != ".json" or not path.is_file():
         return False
