@@ -67,6 +67,9 @@ def test_a_mixture_plays_as_its_members():
     seeds = jnp.arange(8, dtype=jnp.int32)
     a, b = np.array([1, 0, 2, 1, 0, 1, 2, 0]), np.array([0, 1, 0, 0, 1, 2, 1, 1])
 
+    # Two programs round differently, and a match is chaotic after a touch: six seconds of ways.
+    places = {"num_steps": 60, "watch": lambda match, state: state.robots.x}
+
     @jax.jit
     def mixed(home_teams, away_teams):
         return play.play(
@@ -75,18 +78,17 @@ def test_a_mixture_plays_as_its_members():
             away[0]._replace(team=away_teams),
             seeds,
             each=(True, True),
-            watch=lambda match, state: match.truth_batch(state).ball[0, 0][None],
+            **places,
         )
 
     pick = lambda stacked, rows: jax.tree.map(lambda x: x[rows], stacked)  # noqa: E731
-    found, watched = mixed(pick(home[1], a), pick(away[1], b))
+    _, watched = mixed(pick(home[1], a), pick(away[1], b))
     sides = matches.get_team("chaser", match, 0), matches.get_team("random", match, 1)
-    alone = jax.jit(lambda s: play.play(match, *sides, s))(seeds)
+    _, alone = jax.jit(lambda s: play.play(match, *sides, s, **places))(seeds)
     mine = (a == 1) & (b == 0)
-    assert mine.sum() == 2 and np.asarray(alone.touches).sum() > 0
-    for one, other in zip(found, alone):
-        np.testing.assert_array_equal(np.asarray(one)[mine], np.asarray(other)[mine])
-    assert watched.shape == (8, 1) and np.isfinite(watched).all()
+    assert mine.sum() == 2 and watched.shape == (8, 2)
+    np.testing.assert_allclose(watched[mine], alone[mine], atol=0.05)
+    assert np.abs(watched[~mine] - alone[~mine]).max(axis=1).min() > 1
 
 
 @pytest.mark.slow

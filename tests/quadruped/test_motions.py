@@ -97,7 +97,7 @@ def test_the_mirror_image_of_set_points_is_that_of_the_joints():
 def test_a_kick_is_evolved_and_its_file_can_be_played(tmp_path, capsys):
     path = tmp_path / "kick.json"
     evolve_motion.main(
-        ["left", "--generations", "1", "--population", "2", "--seed", "4", "--out", str(path)]
+        ["left", "--generations", "1", "--population", "4", "--seed", "4", "--out", str(path)]
     )
     assert "generation 1/1" in capsys.readouterr().out
     env = make()
