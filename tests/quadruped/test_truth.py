@@ -195,7 +195,12 @@ np.save(r"{tmp_path / "out.npy"}", path)
     assert done.returncode == 0, done.stderr
     assert not done.stdout  # both back ends are fond of talking
     truth = np.array([native(model, start, p) for p in points])
-    place, angle = deviation(np.load(tmp_path / "out.npy"), truth)
+    # Where C itself parts by more than this from a start 1e-6 m higher, rounding decides.
+    higher = start + 1e-6 * (np.arange(len(start)) == 2)
+    nudged = np.array([native(model, higher, p) for p in points])
+    steady = np.abs(nudged - truth)[..., :2].max(axis=(1, 2)) < 1e-4
+    assert steady.any()
+    place, angle = deviation(np.load(tmp_path / "out.npy")[steady], truth[steady])
     assert place < 1e-3
     assert angle < 0.1
 
