@@ -6,6 +6,7 @@ import csv
 import errno
 import io
 import json
+import math
 import os
 import re
 import stat
@@ -46,6 +47,25 @@ def writing(path: str | Path, option: str = "") -> Iterator[None]:
     except OSError as error:
         where = f"{option} = {path}" if option else str(path)
         raise ValueError(f"{where}: {error.strerror or error}") from error
+
+
+def number_of(where: str, name: str, cell: str) -> float:
+    """A cell of a CSV file as a number below 1e9.
+
+    Args:
+        where: "FILE row N", for the error.
+        name: of the column.
+        cell: its text.
+
+    Raises ValueError naming all three.
+    """
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not abs(value) < 1e9:
+        raise ValueError(f"{where}: {name} = {cell!r}: must be a number")
+    return value
 
 
 def csv_table(header: Iterable[Any], rows: Iterable[Iterable[Any]]) -> bytes:

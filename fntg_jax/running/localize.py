@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fntg_jax.files import csv_table, read_text
+from fntg_jax.files import csv_table, number_of, read_text
 from fntg_jax.robot import hypotheses
 
 LOG_HEADER = ["time", "kind", "name", "a", "b", "c"]
@@ -58,23 +58,13 @@ def _rows(path: Path, header: list[str]) -> Iterator[tuple[str, list[str]]]:
         raise ValueError(f"{path} row {reader.line_num}: {error}") from None
 
 
-def _number(where: str, name: str, cell: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not abs(value) < 1e9:
-        raise ValueError(f"{where}: {name} = {cell!r}: must be a number")
-    return value
-
-
 def read_map(path: Path) -> dict[str, tuple[float, float]]:
     """name -> x, y (m) of every landmark.  Raises ValueError naming file and row."""
     found: dict[str, tuple[float, float]] = {}
     for where, (name, x, y) in _rows(path, MAP_HEADER):
         if not name or name in found:
             raise ValueError(f"{where}: name = {name!r}: must be one of its own")
-        found[name] = _number(where, "x", x), _number(where, "y", y)
+        found[name] = number_of(where, "x", x), number_of(where, "y", y)
     if not found:
         raise ValueError(f"{path}: no landmark")
     return found
@@ -95,10 +85,10 @@ def read_log(path: Path, landmarks: dict[str, tuple[float, float]]) -> list[Row]
             raise ValueError(f"{where}: name = {name!r}: known are {', '.join(landmarks)}")
         if kind != "landmark" and name:
             raise ValueError(f"{where}: name = {name!r}: must be empty for {kind}")
-        when = _number(where, "time", time)
+        when = number_of(where, "time", time)
         if rows and when < rows[-1].time:
             raise ValueError(f"{where}: time = {time}: must not be before {rows[-1].time:g}")
-        values = [_number(where, *pair) for pair in zip(names[kind], cells)]
+        values = [number_of(where, *pair) for pair in zip(names[kind], cells)]
         if kind == "landmark":
             if cells[2]:
                 raise ValueError(f"{where}: c = {cells[2]!r}: must be empty for landmark")
@@ -177,7 +167,7 @@ def read_truth(path: Path) -> np.ndarray:
     """[N, 4] time, x, y, heading of a CSV file with that header.  Raises ValueError."""
     found: list[list[float]] = []
     for where, cells in _rows(path, POSE_HEADER):
-        row = [_number(where, *pair) for pair in zip(POSE_HEADER, cells)]
+        row = [number_of(where, *pair) for pair in zip(POSE_HEADER, cells)]
         if found and row[0] < found[-1][0]:
             raise ValueError(f"{where}: time = {cells[0]}: must not be before {found[-1][0]:g}")
         found.append(row)

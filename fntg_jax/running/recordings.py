@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fntg_jax.files import read_text
+from fntg_jax.files import number_of, read_text
 
 REQUIRED = ("time", "style", "v", "v_y", "omega", "x", "y", "heading")
 ODOMETRY = ("dx", "dy", "dtheta")
@@ -60,7 +60,7 @@ def read(path: Path, styles: tuple[str, ...]) -> Recording:
         if row["style"] not in styles:
             raise ValueError(f"{where}: style = {row['style']!r}: known are {', '.join(styles)}")
         blank = SIGHTING[1:] if sighting and not row["seen"] else ()
-        numbers.append([math.nan if n in blank else _number(where, n, row[n]) for n in names])
+        numbers.append([math.nan if n in blank else number_of(where, n, row[n]) for n in names])
         kinds.append(row["style"])
         seen.append(row.get("seen", ""))
     if len(numbers) < 50:
@@ -94,16 +94,6 @@ def read(path: Path, styles: tuple[str, ...]) -> Recording:
         starts,
         found,
     )
-
-
-def _number(where: str, name: str, cell: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not abs(value) < 1e9:
-        raise ValueError(f"{where}: {name} = {cell!r}: must be a number")
-    return value
 
 
 def as_log(recording: Recording, styles: tuple[str, ...], log_type: Any) -> Any:
