@@ -5,7 +5,8 @@
 bare: the match alone, robots driven by arithmetic on true positions.  senses: with all senses at
 the objects level, written out for all robots in every step.  stack: `cerberus` against itself, once
 that team is installed.  vmas: VMAS football, three a side, PyTorch, at its best batch (optional:
-pip install vmas).  Each is the best of several interleaved repetitions on all cores.
+pip install vmas), after the others in the same run.  Each other is the best of several interleaved
+repetitions on all cores.
 """
 
 import argparse
@@ -172,13 +173,14 @@ def _stack():
 
 
 def _vmas(seconds: float) -> float | None:
-    """VMAS football, three a side, random actions: the best of three batch sizes."""
+    """VMAS football, three a side, random actions: the best of several batch sizes."""
     if importlib.util.find_spec("vmas") is None:
         return None
     import vmas
 
     best = 0.0
-    for batch in (512, 2048, 8192):
+    batches = (2048, 8192, 32768, 131072)
+    for batch in batches:
         env = vmas.make_env(
             "football",
             num_envs=batch,
@@ -193,7 +195,7 @@ def _vmas(seconds: float) -> float | None:
         actions = [env.get_random_action(agent) for agent in env.agents]
         env.step(actions)
         start, count = time.perf_counter(), 0
-        while time.perf_counter() - start < seconds / 3:
+        while time.perf_counter() - start < seconds / len(batches):
             env.step(actions)
             count += batch
         best = max(best, count / (time.perf_counter() - start))
